@@ -1,0 +1,8 @@
+"""MOOP, matter out of place: sees a 3D print fail and pauses it at that layer.
+
+Importing this package imports nothing else: the plugin class is loaded when OctoPrint asks for it, so that the core
+and the command line run without OctoPrint and a broken native library cannot keep a server from starting.
+"""
+
+__plugin_name__ = "MOOP"
+__plugin_pythoncompat__ = ">=3.9,<4"

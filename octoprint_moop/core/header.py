@@ -1,0 +1,172 @@
+"""What is known before a print begins: the printer, the cameras, the filament. The header of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping
+
+from .camera import BedMotion, Camera
+from .errors import CameraError, RecordingError
+from .segment import HsvThresholds
+
+FORMAT = "moop-recording"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One line of frames.jsonl: which picture, and what the machine had done when it was taken.
+
+    frame       : the picture's name within the recording
+    file_pos    : every command that ends at or before it had been executed
+    layer       : 0-based
+    position_mm : the machine's X, Y, Z
+    time_s      : since the print's start
+    parked      : False where the head stood over the print
+    camera      : name of the camera, None for the first
+    """
+
+    frame: str
+    file_pos: int
+    layer: int
+    position_mm: tuple[float, float, float]
+    time_s: float = 0.0
+    parked: bool = True
+    camera: str | None = None
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Moment:
+        """Raises RecordingError naming what is missing; keys that are not known are ignored."""
+        try:
+            position = data["position_mm"]
+            return cls(
+                frame=str(data["frame"]),
+                file_pos=int(data["file_pos"]),
+                layer=int(data["layer"]),
+                position_mm=(float(position["x"]), float(position["y"]), float(position["z"])),
+                time_s=float(data.get("time_s", 0.0)),
+                parked=bool(data.get("parked", True)),
+                camera=None if data.get("camera") is None else str(data["camera"]),
+            )
+        except KeyError as missing:
+            raise RecordingError(f"A line has no {missing.args[0]!r}.") from None
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"A line has a value that makes no sense ({error}).") from None
+
+    def to_json(self) -> dict[str, Any]:
+        x, y, z = self.position_mm
+        data: dict[str, Any] = {
+            "frame": self.frame, "file_pos": self.file_pos, "layer": self.layer,
+            "position_mm": {"x": x, "y": y, "z": z}, "time_s": self.time_s, "parked": self.parked,
+        }  # fmt: skip
+        if self.camera is not None:
+            data["camera"] = self.camera
+        return data
+
+
+@dataclass(frozen=True)
+class Printer:
+    """The machine's geometry: the part of OctoPrint's printer profile that matters here, and how the bed moves."""
+
+    width_mm: float
+    depth_mm: float
+    height_mm: float
+    origin: str = "lowerleft"
+    form_factor: str = "rectangular"
+    bed: BedMotion = BedMotion()
+    nozzle_mm: float = 0.4
+    filament_mm: float = 1.75
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Printer:
+        """Raises RecordingError naming what is missing or makes no sense."""
+        try:
+            volume = data["volume_mm"]
+            reference = data.get("bed_reference_mm") or {"x": 0.0, "y": 0.0, "z": 0.0}
+            bed = BedMotion(
+                str(data.get("bed_motion", "fixed")),
+                (float(reference["x"]), float(reference["y"]), float(reference["z"])),
+            )
+            printer = cls(
+                width_mm=float(volume["width"]), depth_mm=float(volume["depth"]), height_mm=float(volume["height"]),
+                origin=str(data.get("origin", "lowerleft")), form_factor=str(data.get("form_factor", "rectangular")),
+                bed=bed, nozzle_mm=float(data.get("nozzle_mm", 0.4)), filament_mm=float(data.get("filament_mm", 1.75)),
+            )  # fmt: skip
+        except KeyError as missing:
+            raise RecordingError(f"The printer has no {missing.args[0]!r}.") from None
+        except (TypeError, ValueError, AttributeError) as error:
+            raise RecordingError(f"The printer has a value that makes no sense ({error}).") from None
+        except CameraError as error:
+            raise RecordingError(str(error)) from None
+        sizes = (printer.width_mm, printer.depth_mm, printer.height_mm, printer.nozzle_mm, printer.filament_mm)
+        if not all(0 < size < 1e5 for size in sizes):
+            raise RecordingError("The printer's volume, nozzle and filament must be positive millimetres.")
+        return printer
+
+    def to_json(self) -> dict[str, Any]:
+        x, y, z = self.bed.reference_mm
+        return {
+            "volume_mm": {"width": self.width_mm, "depth": self.depth_mm, "height": self.height_mm},
+            "origin": self.origin, "form_factor": self.form_factor,
+            "bed_motion": self.bed.kind, "bed_reference_mm": {"x": x, "y": y, "z": z},
+            "nozzle_mm": self.nozzle_mm, "filament_mm": self.filament_mm,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Header:
+    """The header of a recording. `cameras` maps a camera's name to it; the first has the name None as well."""
+
+    printer: Printer
+    cameras: tuple[tuple[str | None, Camera], ...]
+    material: HsvThresholds | None
+    job_file: str = "job.gcode"
+    job_bytes: int = 0
+
+    @classmethod
+    def from_json(cls, data: Any) -> Header:
+        """Raises RecordingError or CameraError naming what is missing, unknown or makes no sense."""
+        if not isinstance(data, Mapping):
+            raise RecordingError("The header must be a JSON object.")
+        if data.get("format") != FORMAT or data.get("version") != VERSION:
+            raise RecordingError(
+                f"This is format {data.get('format')!r}, version {data.get('version')!r}; "
+                f"{FORMAT!r}, version {VERSION}, can be read. A newer release may know it."
+            )
+        for key in ("printer", "camera"):
+            if not data.get(key):
+                raise RecordingError(f"The header has no {key!r}. Run the set-up, or take over a whole one.")
+        cameras: list[tuple[str | None, Camera]] = [(None, Camera.from_json(data["camera"]))]
+        for named in data.get("cameras") or ():
+            try:
+                cameras.append((str(named["name"]), Camera.from_json(named["camera"])))
+            except (KeyError, TypeError):
+                raise RecordingError("Each of the header's `cameras` needs a name and a camera.") from None
+        job = data.get("job") or {}
+        return cls(
+            printer=Printer.from_json(data["printer"]),
+            cameras=tuple(cameras),
+            material=HsvThresholds.from_json(data["material"]) if data.get("material") else None,
+            job_file=str(job.get("file", "job.gcode")),
+            job_bytes=int(job.get("bytes", 0)),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "format": FORMAT, "version": VERSION,
+            "job": {"file": self.job_file, "bytes": self.job_bytes},
+            "printer": self.printer.to_json(), "camera": self.camera().to_json(),
+        }  # fmt: skip
+        named = [{"name": name, "camera": camera.to_json()} for name, camera in self.cameras if name is not None]
+        if named:
+            data["cameras"] = named
+        if self.material is not None:
+            data["material"] = self.material.to_json()
+        return data
+
+    def camera(self, name: str | None = None) -> Camera:
+        """Raises RecordingError where no camera has that name."""
+        for known, camera in self.cameras:
+            if known == name:
+                return camera
+        raise RecordingError(f"The header has no camera named {name!r}.")
