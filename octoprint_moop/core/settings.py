@@ -1,0 +1,115 @@
+"""Every setting: its default, its range, its unit and its sentence. Nothing else in the program repeats them."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, Field, dataclass, field, fields
+from typing import Any, Callable, Mapping
+
+from .errors import SettingsError
+
+VERSION = 1
+"""Format of the stored settings. Raise it together with a new entry in MIGRATIONS."""
+
+ACTIONS = ("none", "notify", "pause", "cancel", "cancel_object")
+CAPTURES = ("stand", "slicer")
+
+
+def number(default: float, low: float, high: float, unit: str, sentence: str) -> Any:
+    """A setting that is a number from `low` to `high`; whole where the default is an int."""
+    return field(default=default, metadata={"low": low, "high": high, "unit": unit, "sentence": sentence})
+
+
+def choice(default: str, choices: tuple[str, ...], sentence: str) -> Any:
+    return field(default=default, metadata={"choices": choices, "sentence": sentence})
+
+
+def switch(default: bool, sentence: str) -> Any:
+    return field(default=default, metadata={"sentence": sentence})
+
+
+def text(default: str, sentence: str) -> Any:
+    return field(default=default, metadata={"sentence": sentence})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user chose. Always in range: made by `read_settings` or from the defaults."""
+
+    watch_prints: bool = switch(True, "Watch every print from its start.")
+    on_failed: str = choice("pause", ACTIONS, "What to do when a print has failed.")
+    jump_ratio: float = number(
+        0.03, 0.001, 1.0, "", "How far the error may rise above this print's own baseline before a check is suspect."
+    )
+
+    webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")
+    capture: str = choice(
+        "stand", CAPTURES, "When to look: as the head stands at the end of a layer, or where the slicer's @moop marks it."
+    )
+    every_layers: int = number(1, 1, 1000, "layers", "Look after every so many layers.")
+    min_interval_s: float = number(0.0, 0.0, 3600.0, "s", "Look at most once in this time.")
+    settle_s: float = number(0.3, 0.0, 10.0, "s", "How long the printer stands still before the picture is taken.")
+    settle_timeout_s: float = number(
+        120.0, 1.0, 600.0, "s", "How long to wait for the printer to finish its moves before the print goes on unchecked."
+    )
+    check_timeout_s: float = number(
+        10.0, 1.0, 60.0, "s", "How long picture and check may take together before the print goes on unchecked."
+    )
+
+    hue_min_deg: float = number(0.0, 0.0, 360.0, "°", "Lowest hue of the filament; above the highest, it wraps through 0.")
+    hue_max_deg: float = number(360.0, 0.0, 360.0, "°", "Highest hue of the filament.")
+    saturation_min: float = number(0.35, 0.0, 1.0, "", "Less saturated than this is not filament.")
+    value_min: float = number(0.2, 0.0, 1.0, "", "Darker than this is not filament.")
+
+    record: bool = switch(True, "Keep a recording of each watched print.")
+    recordings_mb: int = number(1000, 10, 1_000_000, "MB", "Disk space for recordings; the oldest go first, alarms last.")
+
+
+DEFAULTS: dict[str, Any] = {f.name: f.default for f in fields(Settings)}
+_FIELDS: dict[str, Field[Any]] = {f.name: f for f in fields(Settings)}
+
+
+def read_settings(raw: Mapping[str, Any]) -> Settings:
+    """Settings from stored or sent values; what is not named keeps its default, what is not known is passed over.
+
+    Raises SettingsError naming the setting, its value and the range allowed.
+    """
+    return Settings(**{name: read_value(name, raw[name]) for name in DEFAULTS if raw.get(name) is not None})
+
+
+def read_value(name: str, value: Any) -> Any:
+    """One value, as a form or a configuration file has it (numbers may be strings), in the setting's own type.
+
+    Raises SettingsError where the setting is unknown or the value out of its range.
+    """
+    if name not in _FIELDS:
+        raise SettingsError(f"There is no setting {name!r}.")
+    default, limits = _FIELDS[name].default, _FIELDS[name].metadata
+    assert default is not MISSING
+    if isinstance(default, bool):
+        if str(value).lower() not in ("true", "false", "1", "0"):
+            raise SettingsError(f"{name} is {value!r}; true or false is needed.")
+        return str(value).lower() in ("true", "1")
+    if isinstance(default, str):
+        if "choices" in limits and value not in limits["choices"]:
+            raise SettingsError(f"{name} is {value!r}; one of {', '.join(limits['choices'])} is needed.")
+        return str(value)
+    low, high, unit = limits["low"], limits["high"], limits["unit"]
+    try:
+        found = type(default)(float(value))
+    except (TypeError, ValueError, OverflowError):
+        raise SettingsError(f"{name} is {value!r}; a number from {low:g} to {high:g} {unit} is needed.") from None
+    if not low <= found <= high:
+        raise SettingsError(f"{name} is {found:g}; {low:g} to {high:g} {unit} is allowed.")
+    return found
+
+
+MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {}
+"""Format n -> function from stored values of format n to those of format n + 1."""
+
+
+def migrate(raw: Mapping[str, Any], version: int | None) -> dict[str, Any]:
+    """Stored values of an older format in today's. `version` is None where nothing was ever stored."""
+    values = dict(raw)
+    for step in range(VERSION if version is None else version, VERSION):
+        values = MIGRATIONS[step](values)
+    return values
