@@ -1,0 +1,219 @@
+"""Draws beads with OpenGL 3.1 into integer images, without a window. The only module that knows moderngl.
+
+The context belongs to the thread that made it: elsewhere reads return zeros without an error, and an expected mask of
+zeros would be a false pause. So another thread is refused, the target is filled with a value that no draw writes and
+zeros read back are an error, and a known bead is drawn once for each context.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import moderngl
+import numpy as np
+
+from ..core.beads import DRAWN_BEAD, drawn_beads, straight_mm
+from ..core.camera import Camera
+from ..core.errors import RenderError
+from ..core.lens import outermost_ray, tilt
+from ..core.toolpath import Toolpath
+
+CHUNK = 1 << 15  # instances a draw call: bounds graphics memory and the time for which moderngl holds the GIL
+UNTOUCHED = np.uint32(0xFFFFFFFF)  # no draw writes it, and no failed read returns it
+DISTORTION_SIZE = 12  # k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4; OpenCV's two tilts come as a matrix
+
+# Camera models as OpenCV documents them (calib3d, "Detailed description"; fisheye: Kannala and Brandt 2006).
+PROJECT = """
+#version 140
+uniform mat3 camera_from_print;
+uniform vec3 print_origin_camera;
+uniform mat3 ndc_from_lens;
+uniform float k[12];
+uniform bool fisheye;
+uniform float outermost;
+
+// z <= 0 says that this lens cannot show the point
+vec3 to_camera(vec3 p) {
+    vec3 c = camera_from_print * p + print_origin_camera;
+    if (c.z > 1.0 && length(c.xy) > outermost * c.z) c.z = -1.0;
+    return c;
+}
+
+vec2 to_ndc(vec3 c) {
+    vec2 u = c.xy / c.z, d;
+    float r2 = dot(u, u);
+    if (fisheye) {
+        float r = sqrt(r2), t = atan(r), t2 = t * t;
+        float bent = t * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
+        d = r > 1e-6 ? u * (bent / r) : u;
+    } else {
+        float radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])));
+        d = u * radial + vec2(
+            2.0 * k[2] * u.x * u.y + k[3] * (r2 + 2.0 * u.x * u.x) + r2 * (k[8] + r2 * k[9]),
+            k[2] * (r2 + 2.0 * u.y * u.y) + 2.0 * k[3] * u.x * u.y + r2 * (k[10] + r2 * k[11]));
+    }
+    vec3 n = ndc_from_lens * vec3(d, 1.0);
+    return n.xy / n.z;
+}
+"""
+
+# The outline of a box seen from outside is a hexagon: all corners but the nearest and the farthest, whatever the view.
+# Constant depth with the test LESS keeps what was drawn first, and GL draws instances in order.
+BEADS = (
+    PROJECT
+    + """
+uniform vec3 eye_print;
+in vec3 start;
+in vec3 end;
+in vec2 size;
+in uint birth;
+flat out uint pixel;
+
+const vec3 OUTLINE[6] = vec3[6](vec3(1,-1,-1), vec3(1,1,-1), vec3(1,-1,1), vec3(-1,1,-1), vec3(-1,-1,1), vec3(-1,1,1));
+
+void main() {
+    pixel = birth;
+    vec2 along = end.xy - start.xy;
+    float run = length(along);
+    along = run > 1e-6 ? along / run : vec2(1.0, 0.0);
+    vec2 left = vec2(-along.y, along.x);
+    vec3 view = eye_print - 0.5 * (start + end) + vec3(0.0, 0.0, 0.5 * size.y);
+    vec3 side = vec3(dot(view.xy, along) < 0.0 ? -1.0 : 1.0, dot(view.xy, left) < 0.0 ? -1.0 : 1.0,
+                     view.z < 0.0 ? -1.0 : 1.0);
+    vec3 corner = OUTLINE[gl_VertexID] * side;
+    vec3 p = corner.x > 0.0 ? end : start;
+    p.xy += 0.5 * size.x * (along * corner.x + left * corner.y);
+    p.z += 0.5 * size.y * (corner.z - 1.0);
+    bool seen = to_camera(start).z > 1.0 && to_camera(end).z > 1.0;
+    vec3 c = camera_from_print * p + print_origin_camera;
+    gl_Position = seen && c.z > 0.5 ? vec4(to_ndc(c), 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}
+"""
+)
+
+BIRTH = """
+#version 140
+flat in uint pixel;
+out uint birth;
+void main() { birth = pixel; }
+"""
+
+
+class GlRenderer:
+    """A MaskRenderer on OpenGL 3.1 or newer (hardware, or Mesa's llvmpipe). Use it in the thread that made it."""
+
+    def __init__(self, device_index: int | None = None) -> None:
+        """Raises RenderError where no context can be made or a known bead is not drawn as it must be."""
+        options = {} if device_index is None else {"device_index": device_index}
+        try:
+            # libEGL carries the GL functions too, so that libGL and with it X11's libraries are not needed.
+            self._context = moderngl.create_context(
+                standalone=True, backend="egl", require=310, libgl="libEGL.so.1", libegl="libEGL.so.1", **options
+            )
+        except Exception as error:  # moderngl raises plain Exception
+            raise RenderError(f"OpenGL does not start here ({error}).") from None
+        self._owner = threading.get_ident()
+        self.device = str(self._context.info["GL_RENDERER"])
+        self.name = f"OpenGL on {self.device}"
+        _ = self._context.error  # a 3.1 context reports the states that are newer than itself; that is no fault
+        self._targets: dict[tuple[int, int], tuple[moderngl.Texture, moderngl.Renderbuffer, moderngl.Framebuffer]] = {}
+        try:
+            self._program = self._context.program(vertex_shader=BEADS, fragment_shader=BIRTH)
+            self._scratch = self._context.buffer(reserve=CHUNK * DRAWN_BEAD.itemsize)
+            self._beads = self._context.vertex_array(
+                self._program, [(self._scratch, "3f 3f 2f 1u/i", "start", "end", "size", "birth")]
+            )
+        except moderngl.Error as error:
+            self._context.release()
+            raise RenderError(f"{self.name} cannot draw beads ({error}).") from None
+        self._check()
+
+    def __enter__(self) -> GlRenderer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Frees everything on the graphics side. The renderer cannot be used afterwards."""
+        self._own()
+        for target in self._targets.values():
+            for part in target:
+                part.release()
+        self._targets.clear()
+        for part in (self._beads, self._scratch, self._program, self._context):
+            part.release()
+
+    def birth_map(
+        self,
+        toolpath: Toolpath,
+        camera: Camera,
+        room_from_print_mm: np.ndarray,
+        beads: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As MaskRenderer says."""
+        self._own()
+        shift_mm = np.asarray(room_from_print_mm, dtype=np.float64)
+        width, height = camera.image_size_px
+        texture, frame = self._target(camera.image_size_px)
+        self._look(camera, shift_mm)
+        frame.use()
+        frame.clear(depth=1.0)
+        texture.write(np.full(width * height, UNTOUCHED))  # GL does not define clearing integers by floats
+        self._context.enable_only(moderngl.DEPTH_TEST)
+        self._context.depth_func = "<"
+        longest_mm = straight_mm(toolpath, camera, shift_mm)
+        for drawn in drawn_beads(toolpath.beads_mm, beads, longest_mm, CHUNK):
+            self._scratch.orphan()
+            self._scratch.write(drawn)
+            self._beads.render(moderngl.TRIANGLE_STRIP, vertices=6, instances=len(drawn))
+        births = np.empty((height, width), dtype=np.uint32)
+        frame.read_into(births, components=1, alignment=1, dtype="u4")
+        if not births.all():
+            raise RenderError(f"{self.name} returned an empty picture. `moop doctor` tries it; restart the server.")
+        births[births == UNTOUCHED] = 0
+        return births
+
+    def _own(self) -> None:
+        if threading.get_ident() != self._owner:
+            raise RenderError("OpenGL was called from a thread that does not own it. This is a bug; please report it.")
+
+    def _target(self, size_px: tuple[int, int]) -> tuple[moderngl.Texture, moderngl.Framebuffer]:
+        if size_px not in self._targets:
+            texture = self._context.texture(size_px, 1, dtype="u4")
+            depth = self._context.depth_renderbuffer(size_px)
+            self._targets[size_px] = (texture, self._context.framebuffer([texture], depth), depth)
+        return self._targets[size_px][:2]
+
+    def _look(self, camera: Camera, shift_mm: np.ndarray) -> None:
+        """Hands the camera to the shader: composed in float64, rounded once."""
+        width, height = camera.image_size_px
+        # Pixel centres lie at whole numbers in OpenCV and at halves in GL; row 0 is drawn, and read, first.
+        ndc_from_image = np.array([[2 / width, 0, 1 / width - 1], [0, 2 / height, 1 / height - 1], [0, 0, 1]])
+        camera_from_room = camera.camera_from_room
+        k = np.zeros(12)
+        k[: min(12, camera.distortion.size)] = camera.distortion[:12]
+        values = {
+            "camera_from_print": camera_from_room[:3, :3].T,
+            "print_origin_camera": camera_from_room[:3, :3] @ shift_mm + camera_from_room[:3, 3],
+            "eye_print": camera.centre_mm - shift_mm,
+            "ndc_from_lens": (ndc_from_image @ camera.K @ tilt(camera)).T,
+            "k": k,
+            "outermost": np.array(outermost_ray(camera)),
+        }
+        for name, value in values.items():
+            self._program[name].write(np.ascontiguousarray(value, dtype=np.float32))
+        self._program["fisheye"].value = camera.model == "fisheye"
+
+    def _check(self) -> None:
+        """Draws one bead whose picture is known. Raises RenderError unless it comes out."""
+        bead = np.array([[-10, 0, 100, 10, 0, 100, 10, 0.2]], dtype=np.float32)
+        one = np.ones(1, dtype=np.int64)
+        toolpath = Toolpath(bead, one, np.array([0, 1]), one, bead[:, 5], one.astype("u1"), one.astype("i2"))
+        camera = Camera((40, 30), np.array([[100, 0, 19.5], [0, 100, 14.5], [0, 0, 1]]), np.zeros(5), [0, 0, 0], [0, 0, 0])
+        births = self.birth_map(toolpath, camera, np.zeros(3))
+        wanted = np.zeros((30, 40), dtype=np.uint32)
+        wanted[10:20, 5:35] = 1
+        if not np.array_equal(births, wanted):
+            self.release()
+            raise RenderError(f"{self.name} draws a known picture wrongly. Another renderer will be used.")
