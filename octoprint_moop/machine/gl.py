@@ -32,11 +32,9 @@ uniform float k[12];
 uniform bool fisheye;
 uniform float outermost;
 
-// z <= 0 says that this lens cannot show the point
-vec3 to_camera(vec3 p) {
+bool shows(vec3 p) {
     vec3 c = camera_from_print * p + print_origin_camera;
-    if (c.z > 1.0 && length(c.xy) > outermost * c.z) c.z = -1.0;
-    return c;
+    return c.z > 1.0 && length(c.xy) < outermost * c.z;
 }
 
 vec2 to_ndc(vec3 c) {
@@ -57,7 +55,8 @@ vec2 to_ndc(vec3 c) {
 }
 """
 
-# The outline of a box seen from outside is a hexagon: all corners but the nearest and the farthest, whatever the view.
+# A bead is a line swept by the ellipsoid of its width and height, so its outline is that of two ellipses: six points of
+# it, the tips and both flanks at either end, are where the ellipsoid's normal is at right angles to the view.
 # Constant depth with the test LESS keeps what was drawn first, and GL draws instances in order.
 BEADS = (
     PROJECT
@@ -69,24 +68,25 @@ in vec2 size;
 in uint birth;
 flat out uint pixel;
 
-const vec3 OUTLINE[6] = vec3[6](vec3(1,-1,-1), vec3(1,1,-1), vec3(1,-1,1), vec3(-1,1,-1), vec3(-1,-1,1), vec3(-1,1,1));
+// strip order: along the bead, across it
+const vec2 OUTLINE[6] = vec2[6](vec2(1, 0), vec2(1, 1), vec2(1, -1), vec2(-1, 1), vec2(-1, -1), vec2(-1, 0));
 
 void main() {
     pixel = birth;
-    vec2 along = end.xy - start.xy;
-    float run = length(along);
-    along = run > 1e-6 ? along / run : vec2(1.0, 0.0);
-    vec2 left = vec2(-along.y, along.x);
-    vec3 view = eye_print - 0.5 * (start + end) + vec3(0.0, 0.0, 0.5 * size.y);
-    vec3 side = vec3(dot(view.xy, along) < 0.0 ? -1.0 : 1.0, dot(view.xy, left) < 0.0 ? -1.0 : 1.0,
-                     view.z < 0.0 ? -1.0 : 1.0);
-    vec3 corner = OUTLINE[gl_VertexID] * side;
-    vec3 p = corner.x > 0.0 ? end : start;
-    p.xy += 0.5 * size.x * (along * corner.x + left * corner.y);
-    p.z += 0.5 * size.y * (corner.z - 1.0);
-    bool seen = to_camera(start).z > 1.0 && to_camera(end).z > 1.0;
+    vec3 run = end - start;
+    vec3 view = normalize(eye_print - 0.5 * (start + end));
+    vec3 along = run - view * dot(run, view);
+    float length_seen = length(along);
+    along = length_seen > 1e-5 ? along / length_seen : normalize(cross(view, vec3(0.6, 0.64, 0.48)));
+    vec3 across = cross(view, along);
+    vec2 outline = OUTLINE[gl_VertexID];
+    vec3 normal = outline.y == 0.0 ? outline.x * along : outline.y * across;
+    vec3 half_axes = 0.5 * size.xxy;
+    vec3 p = (outline.x > 0.0 ? end : start) - vec3(0.0, 0.0, half_axes.z);
+    p += half_axes * half_axes * normal / length(half_axes * normal);
     vec3 c = camera_from_print * p + print_origin_camera;
-    gl_Position = seen && c.z > 0.5 ? vec4(to_ndc(c), 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+    bool seen = shows(start) && shows(end) && c.z > 0.5;
+    gl_Position = seen ? vec4(to_ndc(c), 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }
 """
 )
@@ -207,13 +207,15 @@ class GlRenderer:
 
     def _check(self) -> None:
         """Draws one bead whose picture is known. Raises RenderError unless it comes out."""
-        bead = np.array([[-10, 0, 100, 10, 0, 100, 10, 0.2]], dtype=np.float32)
+        bead = np.array([[-10, 0, 100, 10, 0, 100, 10.2, 0.02]], dtype=np.float32)
         one = np.ones(1, dtype=np.int64)
         toolpath = Toolpath(bead, one, np.array([0, 1]), one, bead[:, 5], one.astype("u1"), one.astype("i2"))
-        camera = Camera((40, 30), np.array([[100, 0, 19.5], [0, 100, 14.5], [0, 0, 1]]), np.zeros(5), [0, 0, 0], [0, 0, 0])
+        camera = Camera((40, 30), [[100, 0, 19.5], [0, 100, 14.5], [0, 0, 1]], np.zeros(5), [0, 0, 0], [0, 0, 0])
         births = self.birth_map(toolpath, camera, np.zeros(3))
         wanted = np.zeros((30, 40), dtype=np.uint32)
-        wanted[10:20, 5:35] = 1
+        for row in range(10, 20):  # a hexagon: the tips are half a width beyond the ends
+            tip = int(np.floor(5.6 - abs(row - 14.5)))
+            wanted[row, 10 - tip : 30 + tip] = 1
         if not np.array_equal(births, wanted):
             self.release()
             raise RenderError(f"{self.name} draws a known picture wrongly. Another renderer will be used.")
