@@ -131,6 +131,22 @@ class Camera:
         pixels[depth_mm <= 0] = math.nan
         return pixels
 
+    def rays(self, pixels: np.ndarray) -> np.ndarray:
+        """(N, 3) float64: unit directions, in the camera's own frame, in which pixels (N, 2) look."""
+        points = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
+        if not len(points):
+            return np.empty((0, 3))
+        if self.model == "fisheye":
+            plane = cv2.fisheye.undistortPoints(points, self.K, self.distortion)
+        else:
+            plane = cv2.undistortPoints(points, self.K, self.distortion)
+        rays = np.column_stack([plane.reshape(-1, 2), np.ones(len(points))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+    def turned(self, rvec: np.ndarray) -> Camera:
+        """A camera at the origin that is turned by `rvec`: it projects directions of the camera's frame."""
+        return replace(self, rvec=rvec, tvec_mm=np.zeros(3))
+
     def undistorted(self) -> Camera:
         """The same camera with a perfect lens: the view of `cv2.undistort` with the same K."""
         return replace(self, model="pinhole", distortion=np.zeros(5))
