@@ -1,0 +1,228 @@
+/* What MOOP says to people: states, ages and failures as sentences. Pure: no page, no server. */
+(function (root) {
+    const translate = typeof root.gettext === "function" ? root.gettext : function (text) { return text; };
+
+    /* "layer %(n)s" with {n: 3} is "layer 3". */
+    function fill(text, values) {
+        return text.replace(/%\((\w+)\)s/g, function (_match, name) {
+            return String(values[name]);
+        });
+    }
+
+    function say(text, values) {
+        return fill(translate(text), values || {});
+    }
+
+    /* 12 s, 3 min, 2 h 5 min. */
+    function duration(seconds) {
+        const s = Math.max(0, Math.round(seconds));
+        if (s < 60) {
+            return say("%(s)s s", {s: s});
+        }
+        const minutes = Math.floor(s / 60);
+        if (minutes < 60) {
+            return say("%(m)s min", {m: minutes});
+        }
+        return say("%(h)s h %(m)s min", {h: Math.floor(minutes / 60), m: minutes % 60});
+    }
+
+    /* People count layers from one; files and the server count from nought. */
+    function layerNumber(layer) {
+        return layer + 1;
+    }
+
+    /* E as people read it: 0.0423 is "4.2 %". */
+    function percent(ratio) {
+        if (ratio === null || ratio === undefined) {
+            return "–";
+        }
+        const value = 100 * ratio;
+        return value.toFixed(value < 9.95 ? 1 : 0) + " %";
+    }
+
+    const MODES = {
+        warping: "Warping",
+        detachment: "Detached from the bed",
+        extrusion_failure: "No extrusion",
+        layer_shift: "Layers shifted",
+        stray_material: "Stray material",
+        unknown: "Does not match the model"
+    };
+
+    const VERDICTS = {
+        ok: "all well",
+        suspect: "something may be wrong, looking closer",
+        failed: "failed",
+        unusable: "picture unusable",
+        camera_moved: "the camera has moved"
+    };
+
+    const ACTIONS = {
+        none: "Nothing was done.",
+        notify: "You were notified; the print goes on.",
+        pause: "The print was paused.",
+        cancel: "The print was cancelled.",
+        cancel_object: "Only the failed object was cancelled; the print goes on."
+    };
+
+    function mode(check) {
+        return say(MODES[check && check.mode] || MODES.unknown);
+    }
+
+    function verdict(check) {
+        return say(VERDICTS[check.verdict] || check.verdict);
+    }
+
+    function action(name) {
+        return say(ACTIONS[name] || ACTIONS.none);
+    }
+
+    function joined(parts) {
+        return parts.filter(Boolean).join(" · ");
+    }
+
+    function where(status) {
+        if (status.layer === null || status.layer === undefined) {
+            return "";
+        }
+        const values = {layer: layerNumber(status.layer), layers: status.layers};
+        return status.layers ? say("layer %(layer)s of %(layers)s", values) : say("layer %(layer)s", values);
+    }
+
+    function lastLook(check, ageSeconds) {
+        return check ? say("last check %(age)s ago", {age: duration(ageSeconds)}) : say("no check yet");
+    }
+
+    /*
+     * The state in one line, and how grave it is: {level: "idle" | "good" | "warning" | "failed", text}.
+     * ageSeconds is the age of the last check now; paused, whether the printer stands still.
+     */
+    function state(status, ageSeconds, paused) {
+        if (!status) {
+            return {level: "idle", text: say("Asking the server …")};
+        }
+        const check = status.last_check;
+        if (status.job && check && check.verdict === "failed" && status.action !== "none") {
+            return {
+                level: "failed",
+                text: joined([
+                    paused ? say("Paused") : say("Failure seen"),
+                    say("layer %(layer)s", {layer: layerNumber(check.layer)}),
+                    mode(check),
+                    say("%(age)s ago", {age: duration(ageSeconds)})
+                ])
+            };
+        }
+        if (status.blind) {
+            const text = status.job
+                ? say("Nobody is watching this print: %(why)s", {why: status.blind})
+                : say("The next print would not be watched: %(why)s", {why: status.blind});
+            return {level: status.job ? "warning" : "idle", text: text};
+        }
+        if (!status.job) {
+            return status.watching
+                ? {level: "idle", text: say("Ready · the next print will be watched")}
+                : {level: "idle", text: say("Switched off · the next print will not be watched")};
+        }
+        if (!status.watching) {
+            return {
+                level: "warning",
+                text: joined([say("Not watching this print, as you asked"), where(status)])
+            };
+        }
+        const level = !check || check.verdict === "ok" ? "good" : "warning";
+        return {
+            level: level,
+            text: joined([
+                paused ? say("Watching, print paused") : say("Watching"),
+                where(status),
+                lastLook(check, ageSeconds),
+                check ? verdict(check) : ""
+            ])
+        };
+    }
+
+    /*
+     * The layer in which the trouble that ends in checks[index] began: the first of the unbroken run of
+     * checks that were not well. Unusable pictures say nothing, so they neither begin nor break it.
+     */
+    function sinceLayer(checks, index) {
+        let since = checks[index].layer;
+        for (let i = index - 1; i >= 0; i--) {
+            const check = checks[i];
+            if (check.verdict === "suspect" || check.verdict === "failed") {
+                since = check.layer;
+            } else if (check.verdict !== "unusable") {
+                break;
+            }
+        }
+        return since;
+    }
+
+    /* What to tell of a failed check: {title, sentence, done}. */
+    function failure(check, since, actionName) {
+        const failedObjects = (check.objects || [])
+            .filter(function (object) { return object.verdict === "failed"; })
+            .map(function (object) { return object.name; });
+        const values = {
+            layer: layerNumber(check.layer),
+            since: layerNumber(since),
+            error: percent(check.E),
+            limit: percent(check.limit),
+            objects: failedObjects.join(", ")
+        };
+        let numbers = say("E is %(error)s", values);
+        if (check.limit !== null && check.limit !== undefined) {
+            numbers += say(", the limit %(limit)s", values);
+        }
+        return {
+            title: say("%(mode)s at layer %(layer)s", {mode: mode(check), layer: values.layer}),
+            sentence: check.reason || say("What the camera sees does not match the model."),
+            details: joined([
+                failedObjects.length ? say("object: %(objects)s", values) : "",
+                since < check.layer ? say("since layer %(since)s", values) : "",
+                numbers
+            ]),
+            done: action(actionName)
+        };
+    }
+
+    /* The sentence in a refused request: the server's own where it sent one. */
+    function refusal(request) {
+        let message = "";
+        try {
+            message = (request.responseJSON || JSON.parse(request.responseText)).message;
+        } catch (e) {
+            message = "";
+        }
+        if (message) {
+            return message;
+        }
+        if (request && request.status === 403) {
+            return say("You do not have the permission for this.");
+        }
+        if (request && request.status) {
+            return say("The server answered with an error (%(status)s). Its log says more.", {status: request.status});
+        }
+        return say("The server does not answer.");
+    }
+
+    const words = {
+        say: say,
+        duration: duration,
+        layerNumber: layerNumber,
+        percent: percent,
+        mode: mode,
+        verdict: verdict,
+        action: action,
+        state: state,
+        sinceLayer: sinceLayer,
+        failure: failure,
+        refusal: refusal
+    };
+
+    root.MOOP = Object.assign(root.MOOP || {}, {words: words});
+    if (typeof module === "object" && module.exports) {
+        module.exports = words;
+    }
+})(typeof window === "object" ? window : globalThis);

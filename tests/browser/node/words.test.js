@@ -1,0 +1,77 @@
+"use strict";
+const assert = require("node:assert");
+const test = require("node:test");
+const words = require("../../../octoprint_moop/static/js/moop_words.js");
+
+const well = {layer: 40, E: 0.004, verdict: "ok", objects: []};
+const failed = {layer: 72, E: 0.131, limit: 0.02, verdict: "failed", mode: "detachment", reason: "The hook is gone.", objects: []};
+const status = (changes) => Object.assign(
+    {watching: true, blind: null, job: "a.gcode", layer: 40, layers: 120, checks: 41, last_check: well, action: "none"}, changes
+);
+
+test("a print that goes well is told in one line", () => {
+    assert.deepStrictEqual(words.state(status(), 12.3, false), {
+        level: "good", text: "Watching · layer 41 of 120 · last check 12 s ago · all well"
+    });
+});
+
+test("a print before its first check says that there is none yet", () => {
+    const told = words.state(status({last_check: null, layer: 0}), 0, false);
+    assert.strictEqual(told.text, "Watching · layer 1 of 120 · no check yet");
+});
+
+test("being blind is a warning during a print and names the reason", () => {
+    const told = words.state(status({blind: "the webcam does not answer."}), 3, false);
+    assert.strictEqual(told.level, "warning");
+    assert.match(told.text, /Nobody is watching this print: the webcam does not answer\./);
+});
+
+test("being blind without a print is told too, before it is too late", () => {
+    const told = words.state(status({blind: "no camera is calibrated", job: null, last_check: null}), 0, false);
+    assert.match(told.text, /next print would not be watched: no camera is calibrated/);
+});
+
+test("a failure outranks everything else", () => {
+    const told = words.state(status({last_check: failed, action: "pause", blind: "whatever"}), 75, true);
+    assert.deepStrictEqual(told, {level: "failed", text: "Paused · layer 73 · Detached from the bed · 1 min ago"});
+});
+
+test("a watch that was switched off for this print says so", () => {
+    assert.strictEqual(words.state(status({watching: false}), 5, false).level, "warning");
+});
+
+test("a suspect check is not all well", () => {
+    const told = words.state(status({last_check: Object.assign({}, well, {verdict: "suspect"})}), 5, false);
+    assert.strictEqual(told.level, "warning");
+    assert.doesNotMatch(told.text, /all well/);
+});
+
+test("ages are told in the unit that people would use", () => {
+    assert.strictEqual(words.duration(59.4), "59 s");
+    assert.strictEqual(words.duration(60), "1 min");
+    assert.strictEqual(words.duration(3600 * 2 + 60 * 5 + 7), "2 h 5 min");
+    assert.strictEqual(words.duration(-3), "0 s");
+});
+
+test("a trouble begins with the first check of its unbroken run", () => {
+    const checks = ["ok", "suspect", "ok", "suspect", "unusable", "failed"].map((verdict, layer) => ({verdict, layer}));
+    assert.strictEqual(words.sinceLayer(checks, 5), 3);
+});
+
+test("a failure names what, where, since when, how much, and what was done", () => {
+    const told = words.failure(
+        Object.assign({}, failed, {objects: [{name: "hook", verdict: "failed"}, {name: "gear", verdict: "ok"}]}), 70, "pause"
+    );
+    assert.deepStrictEqual(told, {
+        title: "Detached from the bed at layer 73",
+        sentence: "The hook is gone.",
+        details: "object: hook · since layer 71 · E is 13 %, the limit 2.0 %",
+        done: "The print was paused."
+    });
+});
+
+test("a refusal is told in the server's own words where it sent some", () => {
+    assert.strictEqual(words.refusal({status: 409, responseText: '{"code": "frame", "message": "It is dark."}'}), "It is dark.");
+    assert.match(words.refusal({status: 403, responseText: "<html>"}), /permission/);
+    assert.match(words.refusal({status: 0}), /does not answer/);
+});
