@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 
-from .camera import Camera
 from .compare import Comparison, compare
-from .decide import FAILED, OK, UNUSABLE, History, decide
+from .decide import CAMERA_MOVED, FAILED, UNUSABLE, History, decide
 from .errors import FrameError, SegmentationError
-from .expected import Expected, ExpectedViews, MaskRenderer
+from .expected import Expected, MaskRenderer
 from .header import Header, Moment
 from .segment import segment_hsv
 from .toolpath import Toolpath
+from .view import View
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,14 @@ class Inspector:
             raise SegmentationError("The filament's colour is not set. Click on it in the set-up.")
         self._header, self._toolpath, self._renderer = header, toolpath, renderer
         self._jump_ratio = jump_ratio
-        self._views: dict[str | None, ExpectedViews] = {}
+        self._reference_bgr = reference_bgr
+        self._views: dict[str | None, View] = {}
         self._history = History()
         self.pictures: Pictures | None = None
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
-        return self._view(moment, self._header.camera(moment.camera)).at(moment.file_pos, moment.position_mm)
+        return self._view(moment).expected(moment)
 
     def check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
         """Compare one frame with what must be seen. A frame that cannot be used is a verdict, not an error.
@@ -95,44 +96,34 @@ class Inspector:
         return replace(check, ms=(time.perf_counter() - began_s) * 1000)
 
     def _check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
+        view = self._view(moment)
         try:
-            camera = self._header.camera(moment.camera)
-            frame_bgr = fit_frame(frame_bgr, camera)
+            steady = view.steady(frame_bgr, moment)
         except FrameError as error:
             return Check(moment, UNUSABLE, reason=str(error))
-        expected = self.expected(moment)
-        observed = self.observe(frame_bgr, expected)
-        ignored = np.zeros_like(observed)
+        if steady.moved:
+            return Check(moment, CAMERA_MOVED, reason=steady.moved)
+        expected = view.expected(moment)
+        observed = segment_hsv(steady.frame, self._header.material)
+        hidden = view.occluded(steady, cv2.bitwise_or(observed, expected.mask))
+        ignored = cv2.bitwise_or(steady.outside, hidden)
         comparison = compare(expected.mask, observed, expected.complete, ignored)
-        self.pictures = Pictures(frame_bgr, observed, expected.mask, ignored)
+        self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
+        if hidden.any():
+            return Check(moment, UNUSABLE, comparison, reason="Something stands in the view: a hand, or a tool?")
+        view.accept(steady)
         decision, self._history = decide(self._history, comparison.error_ratio, self._jump_ratio)
         mode = "unknown" if decision.verdict == FAILED else None
         return Check(moment, decision.verdict, comparison, decision.limit, mode, decision.reason)
 
-    def observe(self, frame_bgr: np.ndarray, expected: Expected | None = None) -> np.ndarray:
-        """(H, W) uint8, 255 where filament is seen."""
-        assert self._header.material is not None
-        return cv2.medianBlur(segment_hsv(frame_bgr, self._header.material), 3)
-
-    def _view(self, moment: Moment, camera: Camera) -> ExpectedViews:
+    def _view(self, moment: Moment) -> View:
         if moment.camera not in self._views:
-            self._views[moment.camera] = ExpectedViews(
-                self._toolpath, camera, self._header.printer.bed, self._renderer
-            )
+            first = moment.camera is None or moment.camera == self._header.cameras[0][0]
+            self._views[moment.camera] = View(
+                self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
+                self._reference_bgr if first else None,
+            )  # fmt: skip
         return self._views[moment.camera]
-
-
-def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:
-    """The frame at the camera's size. Raises FrameError where it is of another shape."""
-    width, height = camera.image_size_px
-    if frame_bgr.shape[1::-1] == (width, height):
-        return frame_bgr
-    if abs(frame_bgr.shape[1] / width - frame_bgr.shape[0] / height) * width > 2:
-        raise FrameError(
-            f"The frame is {frame_bgr.shape[1]} x {frame_bgr.shape[0]} px, but the camera was calibrated at {width} x "
-            f"{height} px. Set the webcam back, or calibrate it again."
-        )
-    return cv2.resize(frame_bgr, (width, height), interpolation=cv2.INTER_AREA)
 
 
 @dataclass(frozen=True)
@@ -167,5 +158,3 @@ class Summary:
     def to_json(self) -> dict[str, Any]:
         return {"type": "summary", **self.__dict__, "failed_objects": list(self.failed_objects)}
 
-
-__all__ = ["OK", "Check", "Inspector", "Pictures", "Summary", "fit_frame"]

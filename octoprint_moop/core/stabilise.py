@@ -215,6 +215,11 @@ class Stabiliser:
         moved = self._camera.turned(rvec).project(self._camera.rays(pixels)) - pixels
         return np.nan_to_num(moved).reshape(WARP_GRID, WARP_GRID, 2)
 
+    def apart_px(self, one: CameraTurn, other: CameraTurn) -> float:
+        """By how much a pixel moves between two turns, root mean square over the picture."""
+        difference = self._displacement(one.rvec) - self._displacement(other.rvec)
+        return float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
+
     def _motion_px(self, rvec: np.ndarray) -> float:
         return float(np.sqrt(np.mean(np.sum(self._displacement(rvec) ** 2, axis=-1))))
 

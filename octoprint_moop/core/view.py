@@ -1,0 +1,122 @@
+"""One camera's view of one print: the frame made comparable, and what must be seen in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .camera import Camera
+from .errors import FrameError
+from .expected import Expected, ExpectedViews, MaskRenderer
+from .header import Moment, Printer
+from .light import Light
+from .stabilise import STILL, CameraTurn, Stabiliser
+from .toolpath import Toolpath
+from .usable import Occluders, refuse_unusable
+
+MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
+SAME_TURN_PX = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyFrame:
+    """A frame as the calibrated camera would have seen it, in the reference's light.
+
+    frame   : (H, W, 3) uint8 BGR
+    outside : (H, W) uint8, 255 where the turned camera did not look
+    moved   : the sentence for the user where the camera has just been moved, else ""
+    """
+
+    frame: np.ndarray
+    outside: np.ndarray
+    moved: str = ""
+
+
+class View:
+    """Keeps one camera's reference and what its view looked like last. Frames must come in time order."""
+
+    def __init__(
+        self, camera: Camera, printer: Printer, toolpath: Toolpath, renderer: MaskRenderer,
+        reference_bgr: np.ndarray | None,
+    ) -> None:  # fmt: skip
+        self._camera, self._printer = camera, printer
+        self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer)
+        self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
+        self._reference_position_mm = printer.bed.reference_mm
+        self._previous_bgr: np.ndarray | None = None
+        self._turn = STILL  # the last turn that was accepted as where the camera now stands
+        self._pending = STILL
+        self._stabiliser: Stabiliser | None = None
+
+    def expected(self, moment: Moment, before: int = 0) -> Expected:
+        """Raises RenderError where the expected mask cannot be drawn."""
+        return self._expected.at(moment.file_pos, moment.position_mm, before)
+
+    def steady(self, frame_bgr: np.ndarray, moment: Moment) -> SteadyFrame:
+        """Raises FrameError with the reason where the frame cannot be used."""
+        frame_bgr = fit_frame(frame_bgr, self._camera)
+        refuse_unusable(frame_bgr, self._previous_bgr)
+        self._previous_bgr = frame_bgr
+        if self._stabiliser is None:
+            self._begin(frame_bgr, moment)
+        turn = self._stabiliser.turn(frame_bgr, moment.position_mm)
+        moved = self._notice(turn)
+        outside = np.zeros(frame_bgr.shape[:2], np.uint8)
+        if turn is not STILL:
+            frame_bgr, outside = self._stabiliser.undo(frame_bgr, turn)
+        frame_bgr, _ = self._light.level(frame_bgr)
+        return SteadyFrame(frame_bgr, outside, moved)
+
+    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
+        """(H, W) uint8, 255 where something newly hides the view."""
+        return self._occluders.find(steady.frame, filament)
+
+    def accept(self, steady: SteadyFrame) -> None:
+        """Nothing hides the view in this frame: later ones are compared with it."""
+        self._occluders.accept(steady.frame)
+
+    def _begin(self, frame_bgr: np.ndarray, moment: Moment) -> None:
+        """Without a picture of the empty bed the first frame serves: the print is left out of it anyway."""
+        if self._reference_bgr is None:
+            self._reference_bgr, self._reference_position_mm = frame_bgr, moment.position_mm
+        exclude = self.expected(moment).complete
+        self._stabiliser = Stabiliser(
+            self._camera, self._printer.bed, (self._printer.width_mm, self._printer.depth_mm), self._reference_bgr,
+            self._reference_position_mm, exclude,
+        )  # fmt: skip
+        self._light = Light(self._reference_bgr, exclude)
+        self._occluders = Occluders(self._reference_bgr)
+
+    def _notice(self, turn: CameraTurn) -> str:
+        """The sentence where the camera has moved far and not yet stood still at its new place; else "".
+
+        A turn that two frames agree on is where the camera stands from now on: its view is found again.
+        """
+        finer = self._camera.image_size_px[0] / 640
+        if self._stabiliser.apart_px(turn, self._turn) < MOVED_PX * finer:
+            self._turn = self._pending = turn
+            return ""
+        if self._stabiliser.apart_px(turn, self._pending) < SAME_TURN_PX * finer:
+            self._turn = turn
+            return ""
+        self._pending = turn
+        return (
+            f"The camera was moved: the picture has shifted by about {turn.motion_px:.0f} px. "
+            "The view is looked for again; calibrate the camera before the next print."
+        )
+
+
+def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:
+    """The frame at the camera's size. Raises FrameError where it is of another shape."""
+    width, height = camera.image_size_px
+    frame_height, frame_width = frame_bgr.shape[:2]
+    if (frame_width, frame_height) == (width, height):
+        return frame_bgr
+    if abs(frame_width * height - frame_height * width) > 0.01 * frame_height * width:
+        raise FrameError(
+            f"The frame is {frame_width} x {frame_height} px, but the camera was calibrated at {width} x {height} px. "
+            "Set the webcam back, or calibrate it again."
+        )
+    return cv2.resize(frame_bgr, (width, height), interpolation=cv2.INTER_AREA)
