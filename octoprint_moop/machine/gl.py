@@ -8,6 +8,8 @@ zeros read back are an error, and a known bead is drawn once for each context.
 from __future__ import annotations
 
 import threading
+from contextlib import contextmanager
+from typing import Iterator
 
 import moderngl
 import numpy as np
@@ -114,9 +116,11 @@ class GlRenderer:
             raise RenderError(f"OpenGL does not start here ({error}).") from None
         self._owner = threading.get_ident()
         self.device = str(self._context.info["GL_RENDERER"])
+        self.software = any(name in self.device.lower() for name in ("llvmpipe", "softpipe", "swrast"))
+        self.version = self._context.version_code
         self.name = f"OpenGL on {self.device}"
         _ = self._context.error  # a 3.1 context reports the states that are newer than itself; that is no fault
-        self._targets: dict[tuple[int, int], tuple[moderngl.Texture, moderngl.Renderbuffer, moderngl.Framebuffer]] = {}
+        self._targets: dict[tuple[int, int], tuple[moderngl.Texture, moderngl.Framebuffer, moderngl.Renderbuffer]] = {}
         try:
             self._program = self._context.program(vertex_shader=BEADS, fragment_shader=BIRTH)
             self._scratch = self._context.buffer(reserve=CHUNK * DRAWN_BEAD.itemsize)
@@ -136,13 +140,14 @@ class GlRenderer:
 
     def release(self) -> None:
         """Frees everything on the graphics side. The renderer cannot be used afterwards."""
-        self._own()
-        for target in self._targets.values():
-            for part in target:
+        with self._current():
+            for texture, frame, depth in self._targets.values():
+                for part in (frame, depth, texture):
+                    part.release()
+            self._targets.clear()
+            for part in (self._beads, self._scratch, self._program):
                 part.release()
-        self._targets.clear()
-        for part in (self._beads, self._scratch, self._program, self._context):
-            part.release()
+        self._context.release()
 
     def birth_map(
         self,
@@ -152,8 +157,12 @@ class GlRenderer:
         beads: np.ndarray | None = None,
     ) -> np.ndarray:
         """As MaskRenderer says."""
-        self._own()
-        shift_mm = np.asarray(room_from_print_mm, dtype=np.float64)
+        with self._current():
+            return self._births(toolpath, camera, np.asarray(room_from_print_mm, dtype=np.float64), beads)
+
+    def _births(
+        self, toolpath: Toolpath, camera: Camera, shift_mm: np.ndarray, beads: np.ndarray | None
+    ) -> np.ndarray:
         width, height = camera.image_size_px
         texture, frame = self._target(camera.image_size_px)
         self._look(camera, shift_mm)
@@ -174,9 +183,16 @@ class GlRenderer:
         births[births == UNTOUCHED] = 0
         return births
 
-    def _own(self) -> None:
+    @contextmanager
+    def _current(self) -> Iterator[None]:
+        """Makes this the thread's context. Raises RenderError in any thread but the owner's, and for what GL reports."""
         if threading.get_ident() != self._owner:
             raise RenderError("OpenGL was called from a thread that does not own it. This is a bug; please report it.")
+        with self._context:
+            try:
+                yield
+            except moderngl.Error as error:
+                raise RenderError(f"{self.name} failed ({error}). `moop doctor` tries it; restart the server.") from None
 
     def _target(self, size_px: tuple[int, int]) -> tuple[moderngl.Texture, moderngl.Framebuffer]:
         if size_px not in self._targets:
