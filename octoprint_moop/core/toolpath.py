@@ -41,6 +41,8 @@ class Toolpath:
     filament_mm : filament used, net of retraction
     bytes       : length of the file in file positions
     notes       : sentences for the user about what could not be understood, e.g. how many lines were skipped
+    cancel_commands : for each object, the command that makes the firmware skip it ("M486 P2", "EXCLUDE_OBJECT NAME=x"),
+                  "" where the file holds no labels that the firmware understands
     """
 
     beads_mm: np.ndarray
@@ -56,6 +58,7 @@ class Toolpath:
     filament_mm: float = 0.0
     bytes: int = 0
     notes: tuple[str, ...] = ()
+    cancel_commands: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.beads_mm)
