@@ -111,6 +111,14 @@
         this.draw();
     };
 
+    /* A mask (Uint8Array, the picture's size) from its address. */
+    Picture.prototype.loadMask = function (address) {
+        const self = this;
+        return load(address).then(function (image) {
+            return maskOf(image, self.image.naturalWidth, self.image.naturalHeight);
+        });
+    };
+
     /* Lays RGBA pixels of the picture's own size over it. */
     Picture.prototype.setOverlay = function (rgba, width, height) {
         const layer = document.createElement("canvas");
