@@ -30,6 +30,7 @@ from .toolpath import Toolpath
 CHUNK_BYTES = 1 << 20
 HEAD_BYTES = 1 << 18
 LEAST_E_VALUES = 8  # fewer extruding moves do not tell absolute from relative E
+PARK_MM = 20.0  # a head this far beyond a layer does not stand before it
 _E_MODE = re.compile(
     rb"^[ \t]*(?:(M0*8[23]\b|G0*92\b)|G0*[123][ \t][^;\r\n]*?[XY][^;\r\n]*?E[ \t]*(\d+\.?\d*|\.\d+))",
     re.MULTILINE | re.IGNORECASE,
@@ -189,7 +190,7 @@ def assemble(machine: Interpreter, name: str, size: int, nozzle_mm: float, filam
         beads_mm=np.column_stack([path, width, height]),
         end_pos=end_pos,
         layer_start=starts,
-        layer_end_pos=layer_ends(end_pos, starts, machine.tails),
+        layer_end_pos=layer_parks(path, starts, layer_ends(end_pos, starts, machine.tails), machine.travels),
         layer_z_mm=heights,
         role=said_or_first(held(said.role, count, NOT_SAID), said, min(marks, default=0)),
         object_id=objects.object_id,
@@ -213,6 +214,32 @@ def layer_ends(end_pos: np.ndarray, starts: np.ndarray, tails: tuple) -> np.ndar
         hit = beads[found] == last
         ends[hit] = positions[found[hit]]
     return ends
+
+
+def layer_parks(path: np.ndarray, starts: np.ndarray, ends: np.ndarray, travels: tuple) -> np.ndarray:
+    """(L,) int64: `ends`, moved on to where the file itself parks the head before the next layer.
+
+    A park is a travel from one layer to the next that goes PARK_MM or more beyond both, in X or in Y: a slicer's
+    layer change G-code, put there so that a camera sees the print. Of several the farthest counts.
+    """
+    bead, end_pos, x, y = (np.frombuffer(column, dtype=column.typecode) for column in travels)
+    found = ends.copy()
+    if not len(bead):
+        return found
+    corners = path[:, [0, 1, 3, 4]].reshape(-1, 4)
+    low = np.minimum.reduceat(np.minimum(corners[:, :2], corners[:, 2:]), starts[:-1])
+    high = np.maximum.reduceat(np.maximum(corners[:, :2], corners[:, 2:]), starts[:-1])
+    place = np.column_stack([x, y])
+    for layer in range(len(ends)):
+        first, after = np.searchsorted(bead, [starts[layer + 1] - 1, starts[layer + 1]])
+        if first == after:
+            continue
+        both = slice(layer, layer + 2)
+        beyond = np.maximum(low[both].min(axis=0) - place[first:after], place[first:after] - high[both].max(axis=0))
+        farthest = int(beyond.max(axis=1).argmax())
+        if beyond[farthest].max() >= PARK_MM:
+            found[layer] = max(found[layer], end_pos[first + farthest])
+    return found
 
 
 def notes(machine: Interpreter) -> tuple[str, ...]:

@@ -125,6 +125,8 @@ class Interpreter:
         self.m486 = -1
         self.tails = (array("q"), array("q"))  # beads followed by a retraction, and where that ends
         self._tail_open = False
+        # Travels between beads: the bead before, where the move ends in the file, and where over the bed.
+        self.travels = (array("q"), array("q"), array("f"), array("f"))
         self.skipped = 0
         self.unknown: Counter[str] = Counter()
 
@@ -221,6 +223,9 @@ class Interpreter:
             self._retracted(end_pos)
         elif moved or lifted or feed > LEAST_FEED_MM:
             self._tail_open = False
+        if moved and feed <= LEAST_FEED_MM:
+            for column, value in zip(self.travels, (len(self.beads) - 1, end_pos, target[0], target[1])):
+                column.append(value)
         self.position = target
 
     def _arc(self, words: dict[str, float | None], clockwise: bool, end_pos: int) -> None:

@@ -31,7 +31,7 @@ class Toolpath:
     end_pos     : (N,) int64, never decreasing: file position from which on the bead lies (the end of its command)
     layer_start : (L + 1,) int64: index of each layer's first bead; the last entry is N. No layer is empty
     layer_end_pos : (L,) int64: file position at which the layer is complete: after its last bead and the retraction
-                  that directly follows it. This is where a check of the layer belongs
+                  that directly follows it, or where the file then parks the head itself. A check of the layer belongs here
     layer_z_mm  : (L,) float32: print height of each layer (top of its beads)
     role        : (N,) uint8, see Role
     object_id   : (N,) int16, index into `objects`, or NO_OBJECT

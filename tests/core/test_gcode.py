@@ -45,3 +45,14 @@ def test_what_is_no_gcode_is_refused_with_a_sentence(tmp_path, content, word):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(GcodeError, match=r"nowhere\.gcode"):
         read_gcode(tmp_path / "nowhere.gcode")
+
+
+def test_a_layer_that_the_file_parks_after_ends_at_the_park_and_not_at_a_travel_across_the_print(tmp_path):
+    square = "G1 X110 Y100 E1\nG1 X110 Y110 E1\nG1 X100 Y110 E1\nG1 X100 Y100 E1\n"
+    first = "M83\nG1 X100 Y100 Z0.2\n" + square + "G1 E-1 F2400\n"
+    parked = first + "G1 Z0.4\nG1 X0 Y200 F7800\n"
+    second = parked + "G1 X100 Y100\nG1 E1\n" + square
+    crossed = second + "G1 E-1\n"
+    path = tmp_path / "job.gcode"
+    path.write_text(crossed + "G1 Z0.6\nG1 X118 Y100\nG1 X100 Y100\nG1 E1\n" + square)
+    assert read_gcode(path).layer_end_pos[:2].tolist() == [len(parked), len(crossed)]
