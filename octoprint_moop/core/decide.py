@@ -1,56 +1,126 @@
-"""Has the print failed? A jump rule on E: the first honest one, after the paper's Figure 6."""
+"""Has the print failed? A sequential rule on evidence that is measured against this print's own past.
+
+Each check gives, for the whole print and for every labelled object, three figures in parts of the complete
+silhouette: lost matter, stray matter, and the share of fresh matter that is not seen. Each is compared with what it
+was while all was well (median and spread of the good checks, with floors that stand in until there are enough of
+them), which makes *surprises*: how many limits it lies above that. A surprise of 1 is suspect. Surprises add up over
+checks as in Page's cumulative sum (1954), so that two weak ones or one strong one make a failure, and one odd frame
+fades away.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from statistics import median
+from typing import Sequence
+
+from .evidence import WINDOWS, Evidence
 
 OK, SUSPECT, FAILED, UNUSABLE, CAMERA_MOVED = "ok", "suspect", "failed", "unusable", "camera_moved"
 
-BASELINE_CHECKS = 15
+GOOD_CHECKS = 25  # how many good checks make the baseline
+CUSUM_FAILED = 2.0  # sum of surprises above SLACK at which a print has failed
+SLACK = 0.6
+DECISIVE = 3.0  # one check this far above its limits needs no second
+MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
+MATTER_LIMIT_PX = 30
+FRESH_LEAST_PX = 40
+FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
+FRESH_PRIOR = 0.75  # the share taken for usual until good checks tell
+SENSITIVITIES = {"low": 2.0, "medium": 1.0, "high": 0.6}
 
 
 @dataclass(frozen=True)
-class History:
-    """What the checks so far say about this print.
+class Surprise:
+    """One figure of one scope, in limits above its baseline: 1 is as much as is tolerated."""
 
-    good     : E of the last checks in which all was well; their median is the baseline
-    suspects : how many checks in a row have been above the limit
-    """
+    kind: str  # "lost", "stray" or "fresh"
+    size: float
 
-    good: tuple[float, ...] = ()
-    suspects: int = 0
+
+@dataclass(frozen=True)
+class Track:
+    """What the good checks of one scope have shown, and the sum of surprises since."""
+
+    lost: tuple[float, ...] = ()
+    stray: tuple[float, ...] = ()
+    seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
+    cusum: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The verdict on one scope in one check, and the figures behind it, largest surprise first."""
+
+    object_id: int
+    verdict: str
+    surprises: tuple[Surprise, ...]
+    cusum: float
 
     @property
-    def baseline(self) -> float:
-        return median(self.good) if self.good else 0.0
+    def leading(self) -> Surprise:
+        return self.surprises[0]
 
 
-@dataclass(frozen=True)
-class Decision:
-    """verdict: ok, suspect or failed; limit: the E above which this check was suspect; reason: for the user."""
+def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surprise, ...]:
+    """How far each figure lies above what this print has shown, largest first. Pure."""
+    wide = SENSITIVITIES[sensitivity]
+    total = max(evidence.total_px, 1)
+    limit = wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / total)
+    found = [
+        Surprise("lost", (evidence.lost_px / total - _usual(track.lost)) / limit),
+        Surprise("stray", (evidence.stray_px / total - _usual(track.stray)) / limit),
+        Surprise("fresh", max(_fresh(track, evidence, wide), default=0.0)),
+    ]
+    return tuple(sorted(found, key=lambda surprise: -surprise.size))
 
-    verdict: str
-    limit: float
-    reason: str
+
+def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
+    """The surprise that fresh matter is not seen, for each window with enough of it."""
+    found = []
+    for past, (new_px, seen_px) in zip(track.seen, evidence.fresh):
+        if new_px < FRESH_LEAST_PX:
+            continue
+        usual = median(past) if len(past) >= 3 else FRESH_PRIOR
+        spread = 1.4826 * median(abs(value - usual) for value in past) if len(past) >= 5 else 0.08
+        limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * spread) * min(wide, 1.3)
+        # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
+        limit += 1.0 / (new_px / 10) ** 0.5 * 0.25
+        found.append((usual - seen_px / new_px) / limit)
+    return found
 
 
-def decide(history: History, error_ratio: float, jump_ratio: float) -> tuple[Decision, History]:
-    """The decision on one check, and the history with it.
+def judge(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Outcome, Track]:
+    """The verdict on one scope, and its track with this check's sum; `learn` is for checks that were good."""
+    found = surprises(track, evidence, sensitivity)
+    size = found[0].size
+    cusum = max(0.0, track.cusum + min(size, DECISIVE + SLACK) - SLACK)
+    if size >= DECISIVE or (size >= 1 and cusum >= CUSUM_FAILED):
+        verdict = FAILED
+    elif size >= 1 or cusum >= 1:
+        verdict = SUSPECT
+    else:
+        verdict = OK
+    return Outcome(evidence.object_id, verdict, found, cusum), Track(track.lost, track.stray, track.seen, cusum)
 
-    A check is suspect when E exceeds this print's own baseline by `jump_ratio`; the second suspect check in a row, or
-    one by three times as much, is a failure.
-    """
-    limit = history.baseline + jump_ratio
-    if error_ratio <= limit:
-        good = (*history.good, error_ratio)[-BASELINE_CHECKS:]
-        return Decision(OK, limit, ""), History(good)
-    suspects = history.suspects + 1
-    history = replace(history, suspects=suspects)
-    jump = error_ratio - history.baseline
-    if suspects < 2 and jump < 3 * jump_ratio:
-        return Decision(SUSPECT, limit, f"The error rose to {error_ratio:.3f} (limit {limit:.3f})."), history
-    return (
-        Decision(FAILED, limit, f"The error jumped from {history.baseline:.3f} to {error_ratio:.3f}."),
-        history,
+
+def learn(track: Track, evidence: Evidence) -> Track:
+    """The track with a good check taken into its baseline."""
+    total = max(evidence.total_px, 1)
+    seen = tuple(
+        _with(past, seen_px / new_px) if new_px >= FRESH_LEAST_PX else past
+        for past, (new_px, seen_px) in zip(track.seen, evidence.fresh)
     )
+    return Track(
+        _with(track.lost, evidence.lost_px / total), _with(track.stray, evidence.stray_px / total), seen, track.cusum
+    )
+
+
+def _usual(past: Sequence[float]) -> float:
+    return median(past) if past else 0.0
+
+
+def _with(past: tuple[float, ...], value: float) -> tuple[float, ...]:
+    return (*past, value)[-GOOD_CHECKS:]
+
+

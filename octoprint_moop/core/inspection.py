@@ -10,13 +10,18 @@ import cv2
 import numpy as np
 
 from .compare import Comparison, compare
-from .decide import CAMERA_MOVED, FAILED, UNUSABLE, History, decide
+from .decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Outcome, Track, judge, learn
+from .diagnose import Diagnosis, diagnose
 from .errors import FrameError, SegmentationError
+from .evidence import find
 from .expected import Expected, MaskRenderer
 from .header import Header, Moment
 from .segment import segment_hsv
 from .toolpath import Toolpath
 from .view import View
+
+TOLERANCE_PX = 2.0  # at 640 pixels across: what calibration and segmentation may be off without a word
+SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 
 
 @dataclass(frozen=True)
@@ -70,16 +75,16 @@ class Inspector:
         header: Header,
         toolpath: Toolpath,
         renderer: MaskRenderer,
-        jump_ratio: float = 0.03,
+        sensitivity: str = "medium",
         reference_bgr: np.ndarray | None = None,
     ) -> None:
         if header.material is None:
             raise SegmentationError("The filament's colour is not set. Click on it in the set-up.")
         self._header, self._toolpath, self._renderer = header, toolpath, renderer
-        self._jump_ratio = jump_ratio
+        self._sensitivity = sensitivity
         self._reference_bgr = reference_bgr
         self._views: dict[str | None, View] = {}
-        self._history = History()
+        self._tracks: dict[int, Track] = {}
         self.pictures: Pictures | None = None
 
     def expected(self, moment: Moment) -> Expected:
@@ -112,9 +117,58 @@ class Inspector:
         if hidden.any():
             return Check(moment, UNUSABLE, comparison, reason="Something stands in the view: a hand, or a tool?")
         view.accept(steady)
-        decision, self._history = decide(self._history, comparison.error_ratio, self._jump_ratio)
-        mode = "unknown" if decision.verdict == FAILED else None
-        return Check(moment, decision.verdict, comparison, decision.limit, mode, decision.reason)
+        return self._judge(view, moment, expected, observed, ignored, comparison)
+
+    def _judge(
+        self, view: View, moment: Moment, expected: Expected, observed: np.ndarray, ignored: np.ndarray,
+        comparison: Comparison,
+    ) -> Check:  # fmt: skip
+        """Weigh what differs, for the whole print and for each object, and learn from it where all is well."""
+        print_map, memory = view.print_map(moment), view.memory(moment)
+        layer = self._toolpath.layer_at(moment.file_pos)
+        tolerance_px = TOLERANCE_PX * observed.shape[1] / 640
+        findings = find(print_map, expected, layer, observed, ignored, memory, tolerance_px)
+        outcomes = []
+        for evidence in findings.scopes:
+            track = self._tracks.get(evidence.object_id, Track())
+            outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._sensitivity)
+            outcomes.append(outcome)
+        worst = max(outcomes, key=lambda outcome: (SEVERITY[outcome.verdict], outcome.object_id))
+        if worst.verdict == OK:
+            memory.learn(expected.mask > 0, observed > 0, ignored == 0)
+            for evidence in findings.scopes:
+                self._tracks[evidence.object_id] = learn(self._tracks[evidence.object_id], evidence)
+        diagnoses = {
+            outcome.object_id: diagnose(
+                outcome, findings, print_map, expected, observed, layer, view.px_per_mm(self._toolpath)
+            )
+            for outcome in outcomes
+            if outcome.verdict != OK
+        }
+        objects = [
+            {
+                "name": self._toolpath.objects[outcome.object_id],
+                "E": round(evidence.error_ratio, 6),
+                "verdict": outcome.verdict,
+                "mode": diagnoses[outcome.object_id].mode if outcome.verdict == FAILED else None,
+            }
+            for evidence, outcome in zip(findings.scopes[1:], outcomes[1:])
+        ]
+        named = diagnoses.get(worst.object_id)
+        return Check(
+            moment,
+            worst.verdict,
+            comparison,
+            mode=named.mode if named and worst.verdict == FAILED else None,
+            reason=self._sentence(worst, named),
+            objects=tuple(objects),
+        )
+
+    def _sentence(self, worst: Outcome, named: Diagnosis | None) -> str:
+        if named is None:
+            return ""
+        who = f"{self._toolpath.objects[worst.object_id]}: " if worst.object_id >= 0 else ""
+        return who + named.sentence
 
     def _view(self, moment: Moment) -> View:
         if moment.camera not in self._views:

@@ -11,6 +11,7 @@ VERSION = 1
 """Format of the stored settings. Raise it together with a new entry in MIGRATIONS."""
 
 ACTIONS = ("none", "notify", "pause", "cancel", "cancel_object")
+SENSITIVITIES = ("low", "medium", "high")
 CAPTURES = ("stand", "slicer")
 
 
@@ -37,9 +38,7 @@ class Settings:
 
     watch_prints: bool = switch(True, "Watch every print from its start.")
     on_failed: str = choice("pause", ACTIONS, "What to do when a print has failed.")
-    jump_ratio: float = number(
-        0.03, 0.001, 1.0, "", "How far the error may rise above this print's own baseline before a check is suspect."
-    )
+    sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 
     webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")
     capture: str = choice(

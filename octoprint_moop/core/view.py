@@ -9,7 +9,8 @@ import numpy as np
 
 from .camera import Camera
 from .errors import FrameError
-from .expected import Expected, ExpectedViews, MaskRenderer
+from .evidence import Memory
+from .expected import KEPT_POSES, Expected, ExpectedViews, MaskRenderer, PrintMap
 from .header import Moment, Printer
 from .light import Light
 from .stabilise import STILL, CameraTurn, Stabiliser
@@ -49,10 +50,30 @@ class View:
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
         self._stabiliser: Stabiliser | None = None
+        self._memories: dict[tuple[float, ...], Memory] = {}
 
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
         return self._expected.at(moment.file_pos, moment.position_mm, before)
+
+    def print_map(self, moment: Moment) -> PrintMap:
+        """Raises RenderError where drawing fails."""
+        return self._expected.map_at(moment.position_mm)
+
+    def memory(self, moment: Moment) -> Memory:
+        """What the pixels have shown in this pose of the bed so far."""
+        pose = self._expected.pose(moment.position_mm)
+        if pose not in self._memories:
+            while len(self._memories) >= KEPT_POSES:
+                self._memories.pop(next(iter(self._memories)))
+            self._memories[pose] = Memory(self._camera.image_size_px[::-1])
+        return self._memories[pose]
+
+    def px_per_mm(self, toolpath: Toolpath) -> float:
+        """Pixels to the millimetre at the middle of the print."""
+        middle = toolpath.bounds_mm().mean(axis=0)
+        depth_mm = (self._camera.camera_from_room @ np.append(middle, 1.0))[2]
+        return float(self._camera.K[0, 0] / max(depth_mm, 1.0))
 
     def steady(self, frame_bgr: np.ndarray, moment: Moment) -> SteadyFrame:
         """Raises FrameError with the reason where the frame cannot be used."""
