@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import cv2
@@ -49,12 +50,12 @@ class Expected:
     laid: int
     before: int = 0
 
-    @property
+    @cached_property
     def mask(self) -> np.ndarray:
         """uint8, 255 where material must be seen now."""
-        return np.where((self.birth > NEVER) & (self.birth <= self.laid), np.uint8(255), np.uint8(0))
+        return np.where(self.birth - np.uint32(1) < np.uint32(self.laid), np.uint8(255), np.uint8(0))  # never wraps round
 
-    @property
+    @cached_property
     def complete(self) -> np.ndarray:
         """uint8, 255 where material will be seen when the print is complete."""
         return np.where(self.birth > NEVER, np.uint8(255), np.uint8(0))

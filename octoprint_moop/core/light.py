@@ -36,19 +36,19 @@ class Light:
         self._work_px = (WORK_WIDTH_PX, max(1, WORK_WIDTH_PX * self._size_px[1] // self._size_px[0]))
         self._reference = self._small(reference_bgr)
         covered = cv2.resize(cv2.dilate(exclude, np.ones((9, 9), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA)
-        plain = (self._reference.min(axis=2) > DARK) & (self._reference.max(axis=2) < BRIGHT)
+        plain = (_least(self._reference) > DARK) & (_most(self._reference) < BRIGHT)
         self._background = (covered == 0) & plain
 
     def level(self, frame_bgr: np.ndarray) -> tuple[np.ndarray, LightChange]:
         """The frame in the reference's light, (H, W, 3) uint8, and by how much that was changed."""
         small = self._small(frame_bgr)
-        known = self._background & (small.max(axis=2) < BRIGHT)
+        known = self._background & (_most(small) < BRIGHT)
         if known.mean() < MIN_BACKGROUND_RATIO:
             return frame_bgr, LightChange(1.0, False)
         ratio = np.log(np.maximum(small, 1.0)) - np.log(np.maximum(self._reference, 1.0))
-        overall = np.median(ratio[known], axis=0)
+        overall = np.median(ratio[known], axis=0).astype(np.float32)
         # what moved in the background (a gantry, a hand) differs by far more than light does around it
-        steady = known & (np.abs(ratio - overall).max(axis=2) < 0.7)
+        steady = known & (_most(np.abs(ratio - overall)) < 0.7)
         local = self._smooth(ratio - overall, steady)
         uneven = float(np.abs(local).max()) > NOTICEABLE
         change = LightChange(float(np.exp(overall.mean())), uneven)
@@ -72,3 +72,12 @@ class Light:
         total = cv2.GaussianBlur(weight, (0, 0), REACH_PX) + 0.02
         carried = cv2.GaussianBlur((field * weight[..., None]).astype(np.float32), (0, 0), REACH_PX)
         return carried / total[..., None]
+
+
+def _most(picture: np.ndarray) -> np.ndarray:
+    """(H, W): the largest of the three channels; numpy is slow to reduce so short an axis."""
+    return np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
+
+
+def _least(picture: np.ndarray) -> np.ndarray:
+    return np.minimum(np.minimum(picture[..., 0], picture[..., 1]), picture[..., 2])

@@ -59,10 +59,12 @@ def segment_hsv(frame_bgr: np.ndarray, thresholds: HsvThresholds) -> np.ndarray:
 
     frame_bgr : (H, W, 3) uint8
     """
-    hue, saturation, value = cv2.split(hsv(frame_bgr))
-    if thresholds.hue_min_deg <= thresholds.hue_max_deg:
-        in_band = (hue >= thresholds.hue_min_deg) & (hue <= thresholds.hue_max_deg)
-    else:
-        in_band = (hue >= thresholds.hue_min_deg) | (hue <= thresholds.hue_max_deg)
-    filament = in_band & (saturation > thresholds.saturation_min) & (value > thresholds.value_min)
-    return np.where(filament, np.uint8(255), np.uint8(0))
+    picture = hsv(frame_bgr)
+    # S and V must exceed their limits, and inRange counts its limits in
+    least = (np.nextafter(np.float32(limit), np.float32(2)) for limit in (thresholds.saturation_min, thresholds.value_min))
+    saturation_min, value_min = (float(limit) for limit in least)
+    low, high = thresholds.hue_min_deg, thresholds.hue_max_deg
+    if low <= high:
+        return cv2.inRange(picture, (low, saturation_min, value_min), (high, 2, 2))
+    above = cv2.inRange(picture, (low, saturation_min, value_min), (360, 2, 2))
+    return cv2.bitwise_or(above, cv2.inRange(picture, (0, saturation_min, value_min), (high, 2, 2)))

@@ -72,6 +72,7 @@ class Stabiliser:
         background = cv2.bitwise_not(cv2.dilate(exclude, np.ones((15, 15), np.uint8)))
         shift_mm = bed.room_from_print_mm(reference_position_mm)
         pyramid = _pyramid(reference_bgr, self._scales)
+        self._looked_for: tuple[np.ndarray, list[np.ndarray], list[np.ndarray]] | None = None
         margin = (slice(SEARCH_CELLS, -SEARCH_CELLS), slice(SEARCH_CELLS, -SEARCH_CELLS))
         coarse_mask = cv2.resize(background, pyramid[0].shape[::-1], interpolation=cv2.INTER_NEAREST)
         self._patch, self._patch_mask = pyramid[0][margin], (coarse_mask[margin] > 0).astype(np.float32)
@@ -116,14 +117,17 @@ class Stabiliser:
         finest = self._levels[-1]
         if len(finest.grey) < 100:
             return STILL
-        rays = [self._rays_now(level, shift_mm) for level in self._levels]
+        if self._looked_for is None or not np.array_equal(shift_mm, self._looked_for[0]):
+            rays = [self._rays_now(level, shift_mm) for level in self._levels]
+            self._looked_for = shift_mm, rays, [self._jacobian(*pair) for pair in zip(self._levels, rays)]
+        _, rays, jacobians = self._looked_for
         rvec = self._first_guess(pyramid[0])
         if not rvec.any():
-            nudge = self._align(finest, rays[-1], pyramid[-1], rvec, iterations=2)
+            nudge = self._align(finest, rays[-1], jacobians[-1], pyramid[-1], rvec, iterations=2)
             if self._motion_px(nudge) < NOTICEABLE_PX:
                 return STILL  # the usual case, and the cheap one
-        for level, level_rays, grey in zip(self._levels, rays, pyramid):
-            rvec = self._align(level, level_rays, grey, rvec, ITERATIONS)
+        for level, level_rays, jacobian, grey in zip(self._levels, rays, jacobians, pyramid):
+            rvec = self._align(level, level_rays, jacobian, grey, rvec, ITERATIONS)
         if self._misfit(finest, rays[-1], pyramid[-1], rvec) > 0.9 * self._misfit(
             finest, rays[-1], pyramid[-1], np.zeros(3)
         ):
@@ -169,7 +173,7 @@ class Stabiliser:
         return seen - level.grey, inside
 
     def _align(
-        self, level: _Level, rays: np.ndarray, grey: np.ndarray, rvec: np.ndarray, iterations: int
+        self, level: _Level, rays: np.ndarray, jacobian: np.ndarray, grey: np.ndarray, rvec: np.ndarray, iterations: int
     ) -> np.ndarray:
         """Gauss-Newton from `rvec` on the distance that each pixel's edge has moved along its normal.
 
@@ -177,7 +181,6 @@ class Stabiliser:
         """
         if len(rays) < 30:
             return rvec
-        jacobian = np.einsum("ni,nij->nj", level.normal, self._pixels_per_radian(rays, rvec))
         for _ in range(iterations):
             residual, inside = self._residual(level, rays, grey, rvec)
             residual /= level.slope
@@ -192,14 +195,17 @@ class Stabiliser:
                 break
         return rvec
 
-    def _pixels_per_radian(self, rays: np.ndarray, rvec: np.ndarray) -> np.ndarray:
-        """(n, 2, 3) derivative of pixels by the rotation, by central differences."""
+    def _jacobian(self, level: _Level, rays: np.ndarray) -> np.ndarray:
+        """(n, 3) by how many pixels along its normal each edge moves for a radian of turn, by central differences.
+
+        Taken where the camera stands still: over the few degrees of a knock it hardly changes.
+        """
         step = 1e-4
         columns = [
-            self._camera.turned(rvec + step * axis).project(rays) - self._camera.turned(rvec - step * axis).project(rays)
+            self._camera.turned(step * axis).project(rays) - self._camera.turned(-step * axis).project(rays)
             for axis in np.eye(3)
         ]
-        return np.nan_to_num(np.stack(columns, axis=-1) / (2 * step))
+        return np.einsum("ni,nij->nj", level.normal, np.nan_to_num(np.stack(columns, axis=-1) / (2 * step)))
 
     def _misfit(self, level: _Level, rays: np.ndarray, grey: np.ndarray, rvec: np.ndarray) -> float:
         residual, inside = self._residual(level, rays, grey, rvec)
