@@ -224,8 +224,11 @@ class Interpreter:
         elif moved or lifted or feed > LEAST_FEED_MM:
             self._tail_open = False
         if moved and feed <= LEAST_FEED_MM:
-            for column, value in zip(self.travels, (len(self.beads) - 1, end_pos, target[0], target[1])):
-                column.append(value)
+            beads, ends, xs, ys = self.travels
+            beads.append(len(self.beads) - 1)
+            ends.append(end_pos)
+            xs.append(target[0])
+            ys.append(target[1])
         self.position = target
 
     def _arc(self, words: dict[str, float | None], clockwise: bool, end_pos: int) -> None:
