@@ -13,11 +13,14 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-JOB = Path(__file__).with_name("job.gcode.gz")
+from .run import JOB
+
 BED_CENTRE_MM = (125.0, 105.0)
 
 # Real files wait for the heat here (M109, M190); the virtual printer would take minutes over it.
-START = r"M83\nM140 S60\nM104 S210\nG28\nG1 Z5 F5000\nG1 X10 Y3 F6000\nG1 Z0.3 F1000\nG1 X60 E6 F1000\nG1 X90 E9 F1000"
+START = (
+    r"M83\nM140 S60\nM104 S210\nG28\nG1 Z5 F5000\nG1 X10 Y3 F6000\nG1 Z0.3 F1000\nG1 X60 E6 F1000\nG1 X90 E9 F1000"
+)
 SETTINGS = {
     "bed_shape": "0x0,250x0,250x210,0x210", "nozzle_diameter": "0.4", "filament_diameter": "1.75",
     "layer_height": "0.3", "first_layer_height": "0.3", "perimeters": "2", "fill_density": "12%",
@@ -38,7 +41,7 @@ def hull(*points_mm: tuple[float, float, float]) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(np.array(points_mm, dtype=float))
 
 
-def tug() -> trimesh.Trimesh:
+def tug() -> trimesh.Geometry:
     """A small tug boat, 34 x 14 x 20 mm: the slicer unites the bodies that overlap."""
     deck = [(-17, -5), (-17, 5), (-10, 7), (6, 7), (13, 4), (17, 0), (13, -4), (6, -7), (-10, -7)]
     keel = [(0.78 * x - 1, 0.72 * y) for x, y in deck]
@@ -49,14 +52,14 @@ def tug() -> trimesh.Trimesh:
     return trimesh.util.concatenate([body, cabin, funnel, bow])
 
 
-def bracket() -> trimesh.Trimesh:
+def bracket() -> trimesh.Geometry:
     """A shelf bracket, 22 x 16 x 20 mm: two plates and two gussets."""
     def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float) -> trimesh.Trimesh:
         return hull(*[(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)])
 
-    plates = [box(-11, 11, -8, 8, 0, 3), box(-11, -8, -8, 8, 0, 20)]
+    plates = [box(-11, 11, -8, 8, 0, 3), box(8, 11, -8, 8, 0, 20)]
     gussets = [
-        hull(*[(x, y, z) for y in (y0, y0 + 2.4) for x, z in ((-9, 2), (9, 2), (9, 4), (-7, 17.5), (-9, 17.5))])
+        hull(*[(x, y, z) for y in (y0, y0 + 2.4) for x, z in ((9, 2), (-9, 2), (-9, 4), (7, 17.5), (9, 17.5))])
         for y0 in (-8, 5.6)
     ]
     return trimesh.util.concatenate([*plates, *gussets])
@@ -65,7 +68,7 @@ def bracket() -> trimesh.Trimesh:
 def slice_job(folder: Path) -> bytes:
     """The G-code of both parts side by side on the bed's centre."""
     files = []
-    for name, part, offset_mm in (("tug", tug(), (-2.0, 13.0)), ("bracket", bracket(), (3.0, -11.0))):
+    for name, part, offset_mm in (("tug", tug(), (-19.0, 3.0)), ("bracket", bracket(), (17.0, -2.0))):
         part.apply_translation((BED_CENTRE_MM[0] + offset_mm[0], BED_CENTRE_MM[1] + offset_mm[1], 0))
         files.append(str(folder / f"{name}.stl"))
         part.export(files[-1])
