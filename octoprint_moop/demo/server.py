@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -38,7 +39,7 @@ def free_port() -> int:
 
 
 class DemoServer:
-    """An OctoPrint with one administrator (`user`, `password`, `api_key`), a virtual printer, and what is installed beside it.
+    """An OctoPrint with one administrator (`user`, `password`, `api_key`), and a virtual printer.
 
     basedir          : its folder; made where it does not exist, left in place by `stop`
     port             : 0 for a free one
@@ -46,6 +47,7 @@ class DemoServer:
     snapshot_url     : address of the webcam's snapshot, "" for none
     plugins          : single-file plugins to load besides, name -> file
     settings         : merged into config.yaml
+    environment      : variables for the server's process, besides our own
 
     Usable as a context manager: started on entry, stopped on exit.
     """
@@ -58,6 +60,7 @@ class DemoServer:
         snapshot_url: str = "",
         plugins: Mapping[str, Path] | None = None,
         settings: Mapping[str, Any] | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self.basedir = Path(basedir)
         self.port = port or free_port()
@@ -67,6 +70,7 @@ class DemoServer:
         self._snapshot_url = snapshot_url
         self._plugins = dict(plugins or {})
         self._settings = settings or {}
+        self._environment = {**os.environ, **(environment or {})}
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> DemoServer:
@@ -95,8 +99,9 @@ class DemoServer:
         with (self.basedir / "serve.log").open("ab") as log:
             # A session of its own: Ctrl-C reaches us alone, and `stop` can end it with all its children.
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
-            )
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
+                env=self._environment,
+            )  # fmt: skip
 
     def wait_operational(self, timeout_s: float = 180.0) -> None:
         """Returns when the printer is connected. Raises ServerError when the process ends, or after `timeout_s`."""
@@ -109,14 +114,10 @@ class DemoServer:
             return
         if process.poll() is None:
             process.terminate()
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(timeout_s)
-            except subprocess.TimeoutExpired:
-                pass
-        try:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
         process.wait()
 
     # --- talking to it ------------------------------------------------------------------------------------------
