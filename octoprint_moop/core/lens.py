@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
 from .camera import Camera
 
+NEAREST_MM = 1.0
 WIDEST = 10.0  # tangent of the widest ray that is looked at, 84 degrees off the axis
 
 
@@ -37,6 +39,27 @@ def outermost_ray(camera: Camera) -> float:
     steps = np.diff(radial_px(camera, tangent))
     folded = np.flatnonzero(~(steps > 0))
     return float(tangent[folded[0]]) if folded.size else WIDEST
+
+
+def shown(points_room_mm: np.ndarray, camera: Camera) -> np.ndarray:
+    """(N,) bool: the point (N, 3) is before the camera and within what its lens can show."""
+    in_camera = points_room_mm @ camera.camera_from_room[:3, :3].T + camera.tvec_mm
+    depth = in_camera[:, 2]
+    return (depth > NEAREST_MM) & (np.hypot(in_camera[:, 0], in_camera[:, 1]) < outermost_ray(camera) * depth)
+
+
+def blind_area(camera: Camera) -> np.ndarray:
+    """(H, W) uint8, 255 where the picture lies beyond the lens's valid area, so that nothing can be expected there."""
+    width, height = camera.image_size_px
+    outermost = outermost_ray(camera)
+    if outermost >= WIDEST:
+        return np.zeros((height, width), np.uint8)
+    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    on_lens = np.linalg.inv(camera.K @ tilt(camera))
+    lens_x, lens_y, scale = (row[0] * x + row[1] * y + row[2] for row in on_lens)
+    reach = float(radial_px(camera, np.array([outermost]))[0])
+    blind = np.where(np.hypot(lens_x, lens_y) >= reach * np.abs(scale), np.uint8(255), np.uint8(0))
+    return cv2.dilate(blind, np.ones((3, 3), np.uint8))
 
 
 def tilt(camera: Camera) -> np.ndarray:

@@ -6,11 +6,10 @@ import numpy as np
 
 from .beads import drawn_beads, straight_mm
 from .camera import Camera
-from .lens import outermost_ray
+from .lens import shown
 from .toolpath import Toolpath
 
 CHUNK = 1 << 14
-NEAREST_MM = 1.0
 LONGEST_MM = 12.0  # longer beads are drawn in parts, since the loop below runs over the rows of the tallest
 
 
@@ -42,20 +41,13 @@ class CvRenderer:
         longest_mm = min(straight_mm(toolpath, camera, shift_mm), LONGEST_MM)
         for drawn in drawn_beads(toolpath.beads_mm, beads, longest_mm, CHUNK):
             start, end = drawn["start"] + shift_mm, drawn["end"] + shift_mm
-            seen = _shown(start, camera) & _shown(end, camera)
+            seen = shown(start, camera) & shown(end, camera)
             corners = outline(start[seen], end[seen], drawn["size"][seen].astype(np.float64), camera.centre_mm)
             corners_px = camera.project(corners.reshape(-1, 3)).reshape(-1, 6, 2)
             whole = np.isfinite(corners_px).all(axis=(1, 2))
             fill_convex(births, corners_px[whole], drawn["birth"][seen][whole])
         births[births == np.iinfo(np.uint32).max] = 0
         return births
-
-
-def _shown(points_room_mm: np.ndarray, camera: Camera) -> np.ndarray:
-    """(N,) bool: the point is before the camera and within what its lens can show."""
-    in_camera = points_room_mm @ camera.camera_from_room[:3, :3].T + camera.tvec_mm
-    depth = in_camera[:, 2]
-    return (depth > NEAREST_MM) & (np.hypot(in_camera[:, 0], in_camera[:, 1]) < outermost_ray(camera) * depth)
 
 
 def outline(start_mm: np.ndarray, end_mm: np.ndarray, size_mm: np.ndarray, eye_mm: np.ndarray) -> np.ndarray:
