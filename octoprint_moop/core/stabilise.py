@@ -18,7 +18,7 @@ import numpy as np
 from .camera import BedMotion, Camera
 
 SCALES = (8, 4, 2)  # of the image pyramid at 640 pixels across, coarse to fine
-SEARCH_CELLS = 8  # how far, in pixels of the coarsest scale, a first guess is looked for
+SEARCH_PX, SEARCH_STEP_PX = 48, 16  # at 640 pixels across: where a first guess is looked for
 POINTS_PER_CELL = 12
 CELLS = (16, 12)
 ITERATIONS = 12
@@ -52,6 +52,11 @@ class _Level:
     slope: np.ndarray  # (n,) float32, length of the grey value's gradient, per pixel of full size
     normal: np.ndarray  # (n, 2) float32, its direction
 
+    def thinned(self, few: slice) -> _Level:
+        return _Level(
+            self.scale, self.rays[few], self.on_bed_mm[few], self.grey[few], self.slope[few], self.normal[few]
+        )
+
 
 class Stabiliser:
     """Compares frames with a reference picture of the same camera. Frames and reference: (H, W, 3) uint8 BGR."""
@@ -68,14 +73,13 @@ class Stabiliser:
         """`exclude`: (H, W) uint8, 255 where the print is or will be. `bed_size_mm`: width and depth, from 0, 0."""
         self._camera, self._bed = camera, bed
         finer = max(1, round(camera.image_size_px[0] / 640))
+        self._finer = finer
         self._scales = tuple(scale * finer for scale in SCALES)
         background = cv2.bitwise_not(cv2.dilate(exclude, np.ones((15, 15), np.uint8)))
         shift_mm = bed.room_from_print_mm(reference_position_mm)
         pyramid = _pyramid(reference_bgr, self._scales)
         self._looked_for: tuple[np.ndarray, list[np.ndarray], list[np.ndarray]] | None = None
-        margin = (slice(SEARCH_CELLS, -SEARCH_CELLS), slice(SEARCH_CELLS, -SEARCH_CELLS))
-        coarse_mask = cv2.resize(background, pyramid[0].shape[::-1], interpolation=cv2.INTER_NEAREST)
-        self._patch, self._patch_mask = pyramid[0][margin], (coarse_mask[margin] > 0).astype(np.float32)
+        self._looked_for: tuple[np.ndarray, list[np.ndarray], list[np.ndarray]] | None = None
         self._levels = [
             self._level(scale, grey, background, shift_mm, bed_size_mm) for scale, grey in zip(self._scales, pyramid)
         ]
@@ -121,7 +125,7 @@ class Stabiliser:
             rays = [self._rays_now(level, shift_mm) for level in self._levels]
             self._looked_for = shift_mm, rays, [self._jacobian(*pair) for pair in zip(self._levels, rays)]
         _, rays, jacobians = self._looked_for
-        rvec = self._first_guess(pyramid[0])
+        rvec = self._first_guess(rays[0], pyramid[0])
         if not rvec.any():
             nudge = self._align(finest, rays[-1], jacobians[-1], pyramid[-1], rvec, iterations=2)
             if self._motion_px(nudge) < NOTICEABLE_PX:
@@ -135,12 +139,27 @@ class Stabiliser:
         motion_px = self._motion_px(rvec)
         return CameraTurn(rvec, motion_px) if motion_px >= NOTICEABLE_PX else STILL
 
-    def _first_guess(self, grey: np.ndarray) -> np.ndarray:
-        """(3,) the turn that moves the whole picture to where it matches best, in steps of the coarsest pixels."""
-        match = cv2.matchTemplate(grey, self._patch, cv2.TM_CCORR_NORMED, mask=self._patch_mask)
-        _, _, _, (column, row) = cv2.minMaxLoc(np.nan_to_num(match))
-        right_px, down_px = (column - SEARCH_CELLS) * self._scales[0], (row - SEARCH_CELLS) * self._scales[0]
-        return np.array([-down_px / self._camera.K[1, 1], right_px / self._camera.K[0, 0], 0.0])
+    def _first_guess(self, rays: np.ndarray, grey: np.ndarray) -> np.ndarray:
+        """(3,) the turn, on a coarse grid, under which the picture matches best; zeros where it matches as it is."""
+        few = slice(None, None, max(1, len(rays) // 400))
+        level = self._levels[0].thinned(few)
+
+        def misfit(right_px: float, down_px: float) -> float:
+            return self._misfit(level, rays[few], grey, self._turned_by(right_px, down_px))
+
+        far_px = 1.5 * SEARCH_STEP_PX
+        elsewhere = [misfit(*offset) for offset in ((far_px, 0), (-far_px, 0), (0, far_px), (0, -far_px))]
+        if misfit(0, 0) < 0.6 * float(np.median(elsewhere)):
+            return np.zeros(3)
+        steps = range(-SEARCH_PX, SEARCH_PX + 1, SEARCH_STEP_PX)
+        best = min(((right, down) for right in steps for down in steps), key=lambda offset: misfit(*offset))
+        return self._turned_by(*best)
+
+    def _turned_by(self, right_px: float, down_px: float) -> np.ndarray:
+        """(3,) the rotation vector that moves the picture's middle by so much, pixels at 640 across."""
+        return np.array(
+            [-down_px * self._finer / self._camera.K[1, 1], right_px * self._finer / self._camera.K[0, 0], 0.0]
+        )
 
     def undo(self, frame_bgr: np.ndarray, turn: CameraTurn) -> tuple[np.ndarray, np.ndarray]:
         """The frame as the calibrated camera would have seen it, and (H, W) uint8, 255 where it saw nothing."""

@@ -1,0 +1,117 @@
+"""The camera's turn, found from a picture that was turned by a known amount through an independent warp."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from octoprint_moop.core.camera import BedMotion, Camera
+from octoprint_moop.core.stabilise import STILL, Stabiliser
+
+SIZE = (640, 480)
+BED_MM = (250.0, 210.0)
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return Camera(
+        SIZE, [[620, 0, 319.5], [0, 620, 239.5], [0, 0, 1]], [-0.2, 0.05, 0.0008, -0.0006, 0],
+        [2.14, -0.72, 0.35], [-36, 104, 13],
+    )  # fmt: skip
+
+
+def room(rng: np.random.Generator) -> np.ndarray:
+    """A picture with structure of all sizes, as a bed with scratches before a bench has."""
+    picture = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
+    for cell in (4, 12, 40, 120):
+        patches = rng.uniform(0, 60, (SIZE[1] // cell + 2, SIZE[0] // cell + 2, 1)).astype(np.float32)
+        picture += cv2.resize(patches, SIZE, interpolation=cv2.INTER_CUBIC)[..., None]
+    return np.clip(picture, 5, 250).astype(np.uint8)
+
+
+def seen_by_turned(picture: np.ndarray, camera: Camera, rvec: np.ndarray) -> np.ndarray:
+    """The picture as the turned camera sees it, every pixel's ray computed by itself."""
+    x, y = np.meshgrid(np.arange(SIZE[0], dtype=np.float64), np.arange(SIZE[1], dtype=np.float64))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1).reshape(-1, 1, 2)
+    plane = cv2.undistortPoints(pixels, camera.K, camera.distortion).reshape(-1, 2)
+    rays = np.column_stack([plane, np.ones(len(plane))]) @ cv2.Rodrigues(rvec)[0]  # turned frame -> calibrated frame
+    source, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.distortion)
+    source = source.reshape(SIZE[1], SIZE[0], 2).astype(np.float32)
+    return cv2.remap(picture, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+def noisy(picture: np.ndarray, rng: np.random.Generator, gain: float = 1.0) -> np.ndarray:
+    return np.clip(picture * gain + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
+
+
+def stabiliser(camera: Camera, reference: np.ndarray, bed: BedMotion = BedMotion()) -> Stabiliser:
+    return Stabiliser(camera, bed, BED_MM, reference, bed.reference_mm, np.zeros(SIZE[::-1], np.uint8))
+
+
+@pytest.mark.parametrize("turn_px", [1.5, 4, 12, 35])
+def test_a_knock_is_measured_to_half_a_pixel_even_when_the_lamp_is_dimmed(camera, turn_px):
+    rng = np.random.default_rng(4)
+    reference = room(rng)
+    rvec = np.array([0.9, -0.4, 0.25]) * turn_px / camera.K[0, 0]
+    found = stabiliser(camera, reference).turn(noisy(seen_by_turned(reference, camera, rvec), rng, 0.6), (0, 0, 0))
+    assert np.abs(found.rvec - rvec).max() * camera.K[0, 0] < 0.5
+    assert found.motion_px == pytest.approx(turn_px, rel=0.15, abs=0.5)
+
+
+def test_a_camera_that_stands_still_is_never_said_to_have_moved(camera):
+    rng = np.random.default_rng(5)
+    reference = room(rng)
+    watcher = stabiliser(camera, reference)
+    assert all(watcher.turn(noisy(reference, rng, gain), (0, 0, 0)) is STILL for gain in (0.4, 0.7, 1.0, 1.2))
+
+
+def test_a_hand_over_a_third_of_the_picture_is_not_taken_for_motion(camera):
+    rng = np.random.default_rng(6)
+    reference = room(rng)
+    frame = noisy(reference, rng)
+    cv2.ellipse(frame, (180, 300), (170, 190), 20, 0, 360, (120, 150, 210), -1)
+    assert stabiliser(camera, reference).turn(frame, (0, 0, 0)) is STILL
+
+
+def test_undoing_a_turn_gives_the_calibrated_view_back(camera):
+    rng = np.random.default_rng(7)
+    reference = room(rng)
+    rvec = np.array([0.01, -0.006, 0.004])
+    watcher = stabiliser(camera, reference)
+    frame = seen_by_turned(reference, camera, rvec)
+    steady, outside = watcher.undo(frame, watcher.turn(frame, (0, 0, 0)))
+    inside = cv2.erode(cv2.bitwise_not(outside), np.ones((9, 9), np.uint8)) > 0
+    before = np.abs(frame.astype(int) - reference)[inside].mean()
+    after = np.abs(steady.astype(int) - reference)[inside].mean()
+    assert after < before / 4
+    assert 0.005 < (outside > 0).mean() < 0.1
+
+
+def test_a_knock_is_told_from_a_bed_that_the_machine_has_moved(camera):
+    """Bed at another Y and camera turned at once: only the turn is reported, since the bed is where it must be."""
+    rng = np.random.default_rng(8)
+    bed = BedMotion("y", (0.0, 200.0, 0.0))
+    texture = cv2.resize(rng.integers(30, 220, (70, 84)).astype(np.uint8), (1000, 840), interpolation=cv2.INTER_NEAREST)
+    corners = np.array([[0, 0, 0], [250, 0, 0], [250, 210, 0], [0, 210, 0]], float)
+    perfect = camera.undistorted()
+
+    def seen_at(y_mm: float, turn: np.ndarray) -> np.ndarray:
+        """The bed's texture through a homography from its corners: planes need no renderer."""
+        rotation = cv2.Rodrigues(turn)[0] @ cv2.Rodrigues(perfect.rvec)[0]
+        tvec = cv2.Rodrigues(turn)[0] @ perfect.tvec_mm
+        to, _ = cv2.projectPoints(corners + [0, 200 - y_mm, 0], cv2.Rodrigues(rotation)[0], tvec, perfect.K, None)
+        source = np.float32([[0, 0], [1000, 0], [1000, 840], [0, 840]])
+        warp = cv2.getPerspectiveTransform(source, to.reshape(4, 2).astype(np.float32))
+        return cv2.cvtColor(cv2.warpPerspective(texture, warp, SIZE, borderValue=90), cv2.COLOR_GRAY2BGR)
+
+    watcher = stabiliser(perfect, seen_at(200, np.zeros(3)), bed)
+    turn = np.array([0.008, -0.005, 0.003])
+    found = watcher.turn(noisy(seen_at(185, turn), rng), (0, 185, 0))
+    assert np.abs(found.rvec - turn).max() * camera.K[0, 0] < 0.6
+    assert watcher.turn(noisy(seen_at(185, np.zeros(3)), rng), (0, 185, 0)) is STILL
+
+
+def test_a_picture_without_structure_claims_nothing(camera):
+    plain = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
+    assert stabiliser(camera, plain).turn(plain + np.uint8(3), (0, 0, 0)) is STILL

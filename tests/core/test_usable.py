@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from octoprint_moop.core.errors import FrameError
+from octoprint_moop.core.usable import Occluders, refuse_unusable
+
+
+@pytest.fixture
+def frame() -> np.ndarray:
+    rng = np.random.default_rng(2)
+    picture = cv2.resize(rng.integers(40, 120, (24, 32, 3)).astype(np.uint8), (640, 480))
+    return np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
+
+
+def test_an_ordinary_frame_is_used(frame):
+    other = np.clip(frame.astype(int) + 1, 0, 255).astype(np.uint8)
+    refuse_unusable(frame, other)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (lambda frame: frame // 20, "black"),
+        (lambda frame: np.full_like(frame, 255), "white"),
+        (lambda frame: np.full_like(frame, 90), "one colour"),
+    ],
+)
+def test_a_frame_that_shows_nothing_is_refused_with_the_reason(frame, spoil, word):
+    with pytest.raises(FrameError, match=word):
+        refuse_unusable(spoil(frame), None)
+
+
+def test_the_same_picture_twice_is_a_camera_that_hangs(frame):
+    with pytest.raises(FrameError, match="same picture"):
+        refuse_unusable(frame, frame.copy())
+
+
+def test_a_picture_cut_off_in_transfer_is_torn(frame):
+    """JPEG decoders fill what never came with one value."""
+    frame[300:] = 128
+    with pytest.raises(FrameError, match="torn"):
+        refuse_unusable(frame, None)
+
+
+def test_a_hand_is_found_and_filament_is_not_taken_for_one(frame):
+    occluders = Occluders(frame)
+    with_hand = frame.copy()
+    cv2.ellipse(with_hand, (500, 380), (90, 120), 30, 0, 360, (130, 160, 220), -1)
+    nothing = np.zeros(frame.shape[:2], np.uint8)
+    found = occluders.find(with_hand, nothing)
+    assert found[380, 500] == 255 and found[60, 60] == 0
+    as_filament = nothing.copy()
+    cv2.ellipse(as_filament, (500, 380), (90, 120), 30, 0, 360, 255, -1)
+    assert not occluders.find(with_hand, as_filament).any()
+
+
+def test_what_has_crept_in_slowly_and_was_accepted_hides_nothing(frame):
+    """A gantry climbs a layer's height at a time: it differs from the reference, but not from the last good frame."""
+    occluders = Occluders(frame)
+    for top in range(200, 100, -1):
+        climbing = frame.copy()
+        climbing[top : top + 60] = (200, 200, 205)
+        if top < 200:
+            assert not occluders.find(climbing, np.zeros(frame.shape[:2], np.uint8)).any()
+        occluders.accept(climbing)
