@@ -189,7 +189,7 @@
         const classes = MOOP.overlay.classify(masks.expected, masks.seen, masks.ignored, "difference");
         const box = MOOP.overlay.differenceBox(classes, width, height);
         if (box) {
-            const wanted = Math.min(width / (3 * box.width), height / (3 * box.height));
+            const wanted = Math.min(width / (1.6 * box.width), height / (1.6 * box.height));
             this.zoom = Math.min(MAX_ZOOM, Math.max(1, wanted));
             this.centre = {x: box.x + box.width / 2, y: box.y + box.height / 2};
             this._keepInside();

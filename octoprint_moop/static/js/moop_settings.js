@@ -80,16 +80,28 @@ $(function () {
             }
         };
 
+        self.complain = function (text) {
+            new PNotify({
+                title: words.say("MOOP: not everything was saved"),
+                text: text,
+                text_escape: true,
+                type: "error",
+                hide: false
+            });
+        };
+
+        self.onDataUpdaterPluginMessage = function (plugin, message) {
+            if (plugin === "moop" && message.type === "refused") {
+                self.complain(message.message);
+            }
+        };
+
         self.onSettingsBeforeSave = function () {
             const wrong = _.filter(self.fields, function (field) { return field.wrong(); });
             if (wrong.length) {
-                new PNotify({
-                    title: words.say("MOOP: not everything was saved"),
-                    text: words.say("%(n)s field(s) held a value that is not allowed and keep the old one.", {n: wrong.length}),
-                    text_escape: true,
-                    type: "error",
-                    hide: false
-                });
+                self.complain(words.say(
+                    "%(n)s field(s) held a value that is not allowed and keep the old one.", {n: wrong.length}
+                ));
             }
         };
     }

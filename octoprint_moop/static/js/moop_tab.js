@@ -41,8 +41,15 @@ $(function () {
             }
             return (status.last_check.age_s || 0) + Math.max(0, self.now_ms() - self.receivedAt_ms()) / 1000;
         });
+        self.printer = ko.pureComputed(function () {
+            const printer = self.printerState;
+            if (printer.isPaused() || printer.isPausing()) {
+                return "paused";
+            }
+            return printer.isPrinting() ? "printing" : "idle";
+        });
         self.state = ko.pureComputed(function () {
-            return words.state(self.status(), self.age_s(), self.printerState.isPaused());
+            return words.state(self.status(), self.age_s(), self.printer());
         });
         self.stateClass = ko.pureComputed(function () {
             return {
@@ -61,7 +68,7 @@ $(function () {
             }[self.state().level];
         });
         self.blind = ko.pureComputed(function () {
-            return Boolean(self.status() && self.status().blind);
+            return self.state().level === "warning" && Boolean(self.status().blind);
         });
         self.renderer = ko.pureComputed(function () {
             return self.status() ? self.status().renderer : "";
@@ -120,24 +127,21 @@ $(function () {
             });
         });
 
-        // The failure that stands: the last failed check that nobody has pardoned.
-        self.failed = ko.pureComputed(function () {
-            const status = self.status();
-            return status && status.last_check && status.last_check.verdict === "failed" ? status.last_check : null;
+        // The failure that stands, as a place in the list of checks: the last failed one, until somebody pardons it.
+        self.failedIndex = ko.pureComputed(function () {
+            return words.failureStands(self.status())
+                ? _.findLastIndex(self.checks(), function (check) { return check.verdict === "failed"; })
+                : -1;
         });
+        self.failed = ko.pureComputed(function () { return self.checks()[self.failedIndex()] || null; });
         self.failure = ko.pureComputed(function () {
             const check = self.failed();
-            if (!check) {
-                return null;
-            }
-            const checks = self.checks();
-            const index = _.findLastIndex(checks, function (other) { return other.layer === check.layer; });
-            const known = index < 0 ? check : checks[index];
-            const since = index < 0 ? check.layer : words.sinceLayer(checks, index);
-            return words.failure($.extend({limit: known.limit}, check), since, self.status().action);
+            return check
+                ? words.failure(check, words.sinceLayer(self.checks(), self.failedIndex()), self.status().action)
+                : null;
         });
         self.printing = ko.pureComputed(function () {
-            return Boolean(self.status() && self.status().job);
+            return self.printer() !== "idle" && Boolean(self.status() && self.status().job);
         });
         self.watchText = ko.pureComputed(function () {
             return self.status() && self.status().watching
@@ -153,18 +157,17 @@ $(function () {
         self.takeStatus = function (status) {
             self.receivedAt_ms(performance.now());
             self.now_ms(performance.now());
-            const jobBefore = self.status() && self.status().job;
+            const before = self.status();
             self.status(status);
-            if (status.job && status.job !== jobBefore) {
-                self.selectedId(null);
+            if (before && status.checks < before.checks) { // a new print has begun
+                self.startOver();
+                self.takeChecks([]);
             }
             self.setLive();
         };
 
         self.takeChecks = function (checks) {
             self.checks(checks);
-            self.drawPlot();
-            self.drawPicture();
         };
 
         self.visible = function () {
@@ -208,11 +211,17 @@ $(function () {
         self.addCheck = function (check) {
             const checks = self.checks();
             const last = checks[checks.length - 1];
-            if (last && last.id === check.id) {
-                return;
+            if (last && check.id <= last.id) { // checks are numbered from nought in each print
+                self.startOver();
+                self.takeChecks([check]);
+            } else {
+                self.takeChecks(checks.concat([check]));
             }
-            const restarted = last && check.layer < last.layer && check.file_pos < last.file_pos;
-            self.takeChecks(restarted ? [check] : checks.concat([check]));
+        };
+
+        self.startOver = function () {
+            self.selectedId(null);
+            self.pictureKey = null;
         };
 
         self.notify = function (check, action) {
@@ -287,51 +296,56 @@ $(function () {
         self.zoomIn = function () { self.picture.zoomIn(); };
         self.zoomOut = function () { self.picture.zoomOut(); };
         self.zoomFit = function () { self.picture.fit(); };
-        self.zoomToDifference = function () {
+        self.showWhere = function () {
+            self.selectedId(self.failed().id);
             self.show("difference");
-            self.picture.zoomToDifference();
+            self.drawPicture().done(function () { self.picture.zoomToDifference(); });
         };
 
         // --- what is drawn ---------------------------------------------------------------------------------------
 
+        /* Shows the selected check, or the camera now where there is none; the promise tells when it is on screen. */
         self.drawPicture = function () {
             if (!self.picture || !self.visible()) {
-                return;
+                return $.Deferred().reject();
             }
-            const moop = OctoPrint.plugins.moop;
             const check = self.selected();
             const key = check ? "check " + check.id : "now";
             if (key === self.pictureKey) {
                 self.picture.draw();
-                return;
+                return self.opened;
             }
-            const addresses = check
-                ? {
-                    frame: moop.pictureUrl(check.id, "frame"),
-                    seen: moop.pictureUrl(check.id, "seen"),
-                    expected: moop.pictureUrl(check.id, "expected"),
-                    ignored: moop.pictureUrl(check.id, "ignored")
-                }
-                : {frame: moop.freshFrameUrl()};
             self.pictureKey = key;
-            self.picture.open(addresses, self.show())
+            self.opened = self.picture.open(self.addresses(check), self.show())
                 .done(function (found) {
                     self.hasMasks(found.masks);
-                    self.pictureNote(
-                        check
-                            ? found.masks ? "" : words.say("This check could not compare: only the picture was kept.")
-                            : words.say("The camera now. Comparisons appear here with the first layer.")
-                    );
+                    self.pictureNote(self.noteOn(check, found.masks));
                 })
                 .fail(function () {
                     self.pictureKey = null;
                     self.hasMasks(false);
-                    self.pictureNote(
-                        check
-                            ? words.say("This check's picture is no longer kept.")
-                            : words.say("The webcam gives no picture.")
-                    );
+                    self.pictureNote(check
+                        ? words.say("This check's picture is no longer kept.")
+                        : words.say("The webcam gives no picture."));
                 });
+            return self.opened;
+        };
+
+        self.addresses = function (check) {
+            const moop = OctoPrint.plugins.moop;
+            if (!check) {
+                return {frame: moop.freshFrameUrl()};
+            }
+            return _.mapValues({frame: 1, seen: 1, expected: 1, ignored: 1}, function (_one, kind) {
+                return moop.pictureUrl(check.id, kind);
+            });
+        };
+
+        self.noteOn = function (check, hasMasks) {
+            if (!check) {
+                return words.say("The camera now. Comparisons appear here with the first layer.");
+            }
+            return hasMasks ? "" : words.say("Nothing could be compared here: only the picture was kept.");
         };
 
         self.drawPlot = function () {
@@ -367,7 +381,10 @@ $(function () {
                 self.picture.show(show);
             }
         });
-        self.selectedId.subscribe(function () { self.redraw(); });
+        // Rate-limited: several changes make one drawing, and the computeds above have settled by then.
+        ko.computed(function () { return [self.checks(), self.selected()]; })
+            .extend({rateLimit: 20})
+            .subscribe(function () { self.redraw(); });
 
         // --- OctoPrint's callbacks -------------------------------------------------------------------------------
 

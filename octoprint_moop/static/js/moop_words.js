@@ -93,48 +93,60 @@
         return check ? say("last check %(age)s ago", {age: duration(ageSeconds)}) : say("no check yet");
     }
 
+    /* Whether a failure stands: told, and not yet pardoned. */
+    function failureStands(status) {
+        return Boolean(status && status.job && status.reason);
+    }
+
     /*
      * The state in one line, and how grave it is: {level: "idle" | "good" | "warning" | "failed", text}.
-     * ageSeconds is the age of the last check now; paused, whether the printer stands still.
+     * ageSeconds: age of the last check now. printer: "idle", "printing" or "paused".
      */
-    function state(status, ageSeconds, paused) {
+    function state(status, ageSeconds, printer) {
         if (!status) {
             return {level: "idle", text: say("Asking the server …")};
         }
         const check = status.last_check;
-        if (status.job && check && check.verdict === "failed" && status.action !== "none") {
+        const age = duration(ageSeconds);
+        if (check && check.verdict === "failed" && failureStands(status)) {
+            const stands = {
+                idle: say("The last print failed"),
+                printing: say("Failure seen, printing on"),
+                paused: say("Failure seen, print paused")
+            };
             return {
                 level: "failed",
                 text: joined([
-                    paused ? say("Paused") : say("Failure seen"),
+                    stands[printer],
                     say("layer %(layer)s", {layer: layerNumber(check.layer)}),
                     mode(check),
-                    say("%(age)s ago", {age: duration(ageSeconds)})
+                    say("%(age)s ago", {age: age})
                 ])
             };
         }
-        if (status.blind) {
-            const text = status.job
-                ? say("Nobody is watching this print: %(why)s", {why: status.blind})
-                : say("The next print would not be watched: %(why)s", {why: status.blind});
-            return {level: status.job ? "warning" : "idle", text: text};
-        }
-        if (!status.job) {
-            return status.watching
-                ? {level: "idle", text: say("Ready · the next print will be watched")}
-                : {level: "idle", text: say("Switched off · the next print will not be watched")};
-        }
-        if (!status.watching) {
+        if (printer === "idle") {
             return {
-                level: "warning",
-                text: joined([say("Not watching this print, as you asked"), where(status)])
+                level: "idle",
+                text: joined([
+                    status.blind || say("No print is running."),
+                    check ? say("last check %(age)s ago", {age: age}) : "",
+                    check ? verdict(check) : ""
+                ])
             };
         }
-        const level = !check || check.verdict === "ok" ? "good" : "warning";
+        if (!status.job || status.blind) {
+            return {
+                level: "warning",
+                text: joined([
+                    say("Nobody is watching this print: %(why)s", {why: status.blind || say("it has not been taken up.")}),
+                    check ? lastLook(check, ageSeconds) : ""
+                ])
+            };
+        }
         return {
-            level: level,
+            level: !check || check.verdict === "ok" ? "good" : "warning",
             text: joined([
-                paused ? say("Watching, print paused") : say("Watching"),
+                printer === "paused" ? say("Watching, print paused") : say("Watching"),
                 where(status),
                 lastLook(check, ageSeconds),
                 check ? verdict(check) : ""
@@ -215,6 +227,7 @@
         mode: mode,
         verdict: verdict,
         action: action,
+        failureStands: failureStands,
         state: state,
         sinceLayer: sinceLayer,
         failure: failure,

@@ -10,38 +10,43 @@ const status = (changes) => Object.assign(
 );
 
 test("a print that goes well is told in one line", () => {
-    assert.deepStrictEqual(words.state(status(), 12.3, false), {
+    assert.deepStrictEqual(words.state(status(), 12.3, "printing"), {
         level: "good", text: "Watching · layer 41 of 120 · last check 12 s ago · all well"
     });
 });
 
 test("a print before its first check says that there is none yet", () => {
-    const told = words.state(status({last_check: null, layer: 0}), 0, false);
+    const told = words.state(status({last_check: null, layer: 0}), 0, "printing");
     assert.strictEqual(told.text, "Watching · layer 1 of 120 · no check yet");
 });
 
-test("being blind is a warning during a print and names the reason", () => {
-    const told = words.state(status({blind: "the webcam does not answer."}), 3, false);
+test("being blind is a warning during a print, and names the reason and the age of the last look", () => {
+    const told = words.state(status({watching: false, blind: "The webcam does not answer."}), 75, "printing");
     assert.strictEqual(told.level, "warning");
-    assert.match(told.text, /Nobody is watching this print: the webcam does not answer\./);
+    assert.strictEqual(told.text, "Nobody is watching this print: The webcam does not answer. · last check 1 min ago");
 });
 
-test("being blind without a print is told too, before it is too late", () => {
-    const told = words.state(status({blind: "no camera is calibrated", job: null, last_check: null}), 0, false);
-    assert.match(told.text, /next print would not be watched: no camera is calibrated/);
+test("a print that the server does not know of is not called watched", () => {
+    const told = words.state(status({job: null, last_check: null}), 0, "printing");
+    assert.strictEqual(told.level, "warning");
+    assert.match(told.text, /Nobody is watching/);
 });
 
-test("a failure outranks everything else", () => {
-    const told = words.state(status({last_check: failed, action: "pause", blind: "whatever"}), 75, true);
-    assert.deepStrictEqual(told, {level: "failed", text: "Paused · layer 73 · Detached from the bed · 1 min ago"});
+test("when no print runs, nobody is alarmed", () => {
+    const told = words.state(status({watching: false, blind: "No print is running."}), 5, "idle");
+    assert.deepStrictEqual(told, {level: "idle", text: "No print is running. · last check 5 s ago · all well"});
 });
 
-test("a watch that was switched off for this print says so", () => {
-    assert.strictEqual(words.state(status({watching: false}), 5, false).level, "warning");
+test("a failure outranks everything else until it is pardoned", () => {
+    const gone = status({last_check: failed, action: "pause", reason: "The hook is gone.", blind: "whatever"});
+    assert.deepStrictEqual(words.state(gone, 75, "paused"), {
+        level: "failed", text: "Failure seen, print paused · layer 73 · Detached from the bed · 1 min ago"
+    });
+    assert.notStrictEqual(words.state(Object.assign(gone, {action: "none", reason: ""}), 75, "paused").level, "failed");
 });
 
 test("a suspect check is not all well", () => {
-    const told = words.state(status({last_check: Object.assign({}, well, {verdict: "suspect"})}), 5, false);
+    const told = words.state(status({last_check: Object.assign({}, well, {verdict: "suspect"})}), 5, "printing");
     assert.strictEqual(told.level, "warning");
     assert.doesNotMatch(told.text, /all well/);
 });
