@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import cv2
 import numpy as np
 
 from ..core.errors import CalibrationError, FrameError
+
+if TYPE_CHECKING:
+    from ..core.pose import PoseResult
 
 
 def read_picture(path: str) -> np.ndarray:
@@ -99,6 +102,10 @@ def pose(
         result = calibrate_pose_any_colour(picture, lens_found, plate)
     else:
         result = calibrate_pose(picture, lens_found, plate, parse_colour(hue, saturation_min, value_min))
+    report_pose(result, "markers", output, as_json)
+
+
+def report_pose(result: PoseResult, what: str, output: str | None, as_json: bool) -> None:
     data = result.to_json()
     if output:
         write_json(output, data)
@@ -107,7 +114,7 @@ def pose(
         return
     found = sum(px is not None for px in result.markers_px)
     x, y, z = result.camera.centre_mm
-    click.echo(f"{found} of {len(result.markers_px)} markers; their edges fit to {result.rms_px:.2f} px.")
+    click.echo(f"{found} of {len(result.markers_px)} {what}; they fit to {result.rms_px:.2f} px.")
     click.echo(
         f"The camera stands at {x:.0f}, {y:.0f}, {z:.0f} mm; points of a print are sure to {result.error_px[0]:.2f} px "
         f"({result.error_mm[0]:.2f} mm), at worst {result.error_px[1]:.2f} px."
@@ -125,3 +132,25 @@ def parse_colour(hue: str, saturation_min: float, value_min: float) -> Any:
     except ValueError:
         raise CalibrationError(f"--hue {hue!r} is not of the kind 18,47 (degrees).") from None
     return HsvThresholds(low, high, saturation_min, value_min)
+
+
+@calibrate.command()
+@click.argument("image", type=click.Path())
+@click.argument("points_path", metavar="POINTS", type=click.Path())
+@click.option("--lens", "lens_path", type=click.Path(), help="What `calibrate lens -o` wrote; without it, a guess.")
+@click.option("--click-px", type=float, default=2.0, show_default=True, help="How far off a click is, usually.")
+@click.option("-o", "--output", type=click.Path(), help="Write the camera here.")
+@click.option("--json", "as_json", is_flag=True, help="JSON on standard output alone.")
+def points(
+    image: str, points_path: str, lens_path: str | None, click_px: float, output: str | None, as_json: bool
+) -> None:
+    """The camera's pose, from POINTS clicked on an IMAGE: a JSON list of {"mm": [x, y, z], "px": [u, v]}."""
+    from ..core.calibrate import Lens
+    from ..core.clicks import Points, pose_from_points
+
+    clicked = Points.from_json(read_json(points_path))
+    lens_found = None if lens_path is None else Lens.from_json(read_json(lens_path))
+    height, width = read_picture(image).shape[:2]
+    if not 0.1 <= click_px <= 100:
+        raise CalibrationError(f"--click-px is {click_px}; 0.1 to 100 can be.")
+    report_pose(pose_from_points(clicked, (width, height), lens_found, click_px), "points", output, as_json)

@@ -11,12 +11,15 @@ import numpy as np
 @dataclass(frozen=True, eq=False)
 class Solution:
     """values : (P,) float64. residuals : (N,) at them. weights : (N,) Huber's, 1 for points that fit.
-    covariance : (P, P) of `values`, from the residuals' own scatter; infinite where the points leave a value open."""
+    covariance : (P, P) of `values`, from the residuals' own scatter; infinite where the points leave a value open.
+    slopes     : (N, P) of the residuals, for a covariance from another scatter (`covariance_of`).
+    """
 
     values: np.ndarray
     residuals: np.ndarray
     weights: np.ndarray
     covariance: np.ndarray
+    slopes: np.ndarray
 
     @property
     def rms(self) -> float:
@@ -71,16 +74,16 @@ def least_squares(
         if np.all(np.abs(change) < steps * 1e-2):
             break
     weights = np.minimum(1.0, outlier / np.maximum(np.abs(misses), 1e-12))
-    return Solution(values, misses, weights, _covariance(slopes, misses, weights, correlated))
+    degrees = max(float(weights.sum()) / correlated - len(values), 0.0)
+    variance = float((weights * misses**2).sum()) / correlated / degrees if degrees > 0 else np.inf
+    return Solution(values, misses, weights, covariance_of(slopes, weights, variance * correlated), slopes)
 
 
-def _covariance(slopes: np.ndarray, misses: np.ndarray, weights: np.ndarray, correlated: float) -> np.ndarray:
-    unknowns = slopes.shape[1]
-    degrees = max(float(weights.sum()) / correlated - unknowns, 0.0)
+def covariance_of(slopes: np.ndarray, weights: np.ndarray, variance: float) -> np.ndarray:
+    """(P, P) float64: covariance of the values where each residual has that variance; infinite where one is open."""
     normal = slopes.T @ (weights[:, None] * slopes)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     shape = normal / np.outer(scale, scale)
-    if degrees <= 0 or np.linalg.cond(shape) > 1e12:
-        return np.full((unknowns, unknowns), np.inf)
-    variance = float((weights * misses**2).sum()) / correlated / degrees
-    return np.linalg.inv(shape) / np.outer(scale, scale) * variance * correlated
+    if not np.isfinite(variance) or not np.isfinite(shape).all() or np.linalg.cond(shape) > 1e12:
+        return np.full(normal.shape, np.inf)
+    return np.linalg.inv(shape) / np.outer(scale, scale) * variance

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Sequence
+from typing import Any, Callable, Sequence
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from .camera import Camera
 from .errors import CalibrationError, CameraError
 from .fit import Solution, least_squares
 from .calibrate import Lens
+from .lens import outermost_ray
 from .markers import Disc, MarkerPlate, find_discs
 from .outline import hole_outline_px, inner_colour, marker_outline_px, measure_edge_px, signed_distance_px
 from .segment import HsvThresholds, hsv
@@ -115,7 +116,9 @@ def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: Hs
     tops_px = camera.project(plate.tops_mm())
     covariance = best.solution.covariance[:6, :6]
     low, high = plate.centres_mm.min(axis=0), plate.centres_mm.max(axis=0)
-    error_px, error_mm = pose_error(camera, covariance, low, high)
+    error_px, error_mm = pose_error(
+        lambda values: lens.at(values[:3], values[3:]), best.solution.values[:6], _STEPS[:6], covariance, low, high
+    )
     return PoseResult(
         camera=camera, rms_px=best.rms_px,
         markers_px=tuple(
@@ -271,29 +274,41 @@ def _fit_edges(
 
 
 def pose_error(
-    camera: Camera, covariance: np.ndarray, low_mm: np.ndarray, high_mm: np.ndarray
+    place: Callable[[np.ndarray], Camera],
+    values: np.ndarray,
+    steps: np.ndarray,
+    covariance: np.ndarray,
+    low_mm: np.ndarray,
+    high_mm: np.ndarray,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Standard error of where points are seen: (mean, max) in px, and the same as millimetres at the points' depth.
 
+    place : makes the camera of some values; steps and covariance belong to them
     Over the box from low_mm to high_mm (X, Y) and up to 100 mm above the bed, as far as the picture shows it; points
     nearer to the camera than a third of the farthest are left out. Infinite where the covariance is.
     """
     if not np.isfinite(covariance).all():
         return (math.inf, math.inf), (math.inf, math.inf)
+    camera = place(values)
     axes = [np.linspace(low, high, 5) for low, high in zip(low_mm, high_mm)] + [np.linspace(0, _HEIGHT_MM, 4)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     distance_mm = np.linalg.norm(points - camera.centre_mm, axis=1)
     seen_px = camera.project(points)
-    inside = ((seen_px >= 0) & (seen_px < camera.image_size_px)).all(axis=1) & (distance_mm > distance_mm.max() / 3)
+    in_camera = points @ camera.camera_from_room[:3, :3].T + camera.tvec_mm
+    # Near the outermost ray the lens's polynomial turns back, and says nothing any more.
+    sharp = np.hypot(in_camera[:, 0], in_camera[:, 1]) < 0.9 * outermost_ray(camera) * in_camera[:, 2]
+    inside = ((seen_px >= 0) & (seen_px < camera.image_size_px)).all(axis=1) & sharp
+    inside &= distance_mm > distance_mm.max() / 3
     if not inside.any():
-        inside = np.isfinite(seen_px).all(axis=1)
+        return (math.inf, math.inf), (math.inf, math.inf)
     points, distance_mm = points[inside], distance_mm[inside]
-    lens, values = Lens.of(camera), np.concatenate([camera.rvec, camera.tvec_mm])
-    slopes = []
-    for step in np.diag(_STEPS[:6]):
-        ahead, back = (lens.at(moved[:3], moved[3:]).project(points) for moved in (values + step, values - step))
-        slopes.append((ahead - back) / (2 * step.sum()))
-    slopes_px = np.stack(slopes, axis=-1)  # points, xy, six
+    slopes_px = np.stack(
+        [
+            (place(values + step).project(points) - place(values - step).project(points)) / (2 * step.sum())
+            for step in np.diag(steps)
+        ],
+        axis=-1,
+    )  # points, xy, values
     variance = np.einsum("pij,jk,pik->p", slopes_px, covariance, slopes_px)
     error_px = np.sqrt(np.maximum(variance, 0))
     error_mm = error_px * distance_mm / camera.K[0, 0]
