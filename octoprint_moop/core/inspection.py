@@ -20,7 +20,7 @@ from .segment import segment_hsv
 from .toolpath import Toolpath
 from .view import View
 
-TOLERANCE_PX = 2.0  # at 640 pixels across: what calibration and segmentation may be off without a word
+TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 
 
@@ -126,14 +126,14 @@ class Inspector:
         """Weigh what differs, for the whole print and for each object, and learn from it where all is well."""
         print_map, memory = view.print_map(moment), view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
-        tolerance_px = TOLERANCE_PX * observed.shape[1] / 640
+        tolerance_px = TOLERANCE_PX * max(1.0, observed.shape[1] / 640)
         findings = find(print_map, expected, layer, observed, ignored, memory, tolerance_px)
         outcomes = []
         for evidence in findings.scopes:
             track = self._tracks.get(evidence.object_id, Track())
             outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._sensitivity)
             outcomes.append(outcome)
-        worst = max(outcomes, key=lambda outcome: (SEVERITY[outcome.verdict], outcome.object_id))
+        worst = max(outcomes, key=_weight)
         if worst.verdict == OK:
             memory.learn(expected.mask > 0, observed > 0, ignored == 0)
             for evidence in findings.scopes:
@@ -212,3 +212,8 @@ class Summary:
     def to_json(self) -> dict[str, Any]:
         return {"type": "summary", **self.__dict__, "failed_objects": list(self.failed_objects)}
 
+
+
+def _weight(outcome: Outcome) -> tuple[int, bool, float]:
+    """Which outcome speaks for the check: the worst, an object's before the whole's, the most surprising first."""
+    return SEVERITY[outcome.verdict], outcome.object_id >= 0, outcome.leading.size
