@@ -1,0 +1,122 @@
+"""The segmenter that learns this print's own look while all is well. The default."""
+
+from __future__ import annotations
+
+from typing import Optional
+
+import cv2
+import numpy as np
+
+from .appearance import ColourModel, Plate, count_colours, every_colour, opponent
+from .expected import Expected
+from .segment import HsvThresholds, Observation, segment_hsv
+from .weigh import Look, weigh
+
+_BAND_PX = 2000.0  # how many pixels the user's thresholds count for: soon outweighed by what is really seen
+_MEMORY_PX = 200_000.0  # counts are scaled down beyond this, so that the colours follow the light of the day
+_CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
+_INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
+
+
+class AdaptiveSegmenter:
+    """Filament by this print's own colours and each pixel's own past; frames must come from one camera.
+
+    Begins with the user's thresholds; where there are none, with what differs from the empty bed where the first layers
+    must lie. It never learns that air is filament: a pixel teaches "filament" only where material must lie *and* the
+    frame shows it there.
+    """
+
+    def __init__(self, material: Optional[HsvThresholds], reference_bgr: Optional[np.ndarray] = None) -> None:
+        """material : the user's thresholds, None where none are set; reference_bgr : (H, W, 3) uint8, the empty bed."""
+        colours = None if reference_bgr is None else opponent(reference_bgr)
+        self._filament: Optional[np.ndarray] = None
+        self._background = np.zeros(every_colour().shape[1])
+        if material is not None:
+            band = segment_hsv(every_colour(), material)[0] > 0
+            self._filament = band * (_BAND_PX / max(int(band.sum()), 1))
+        if colours is not None:
+            self._background = count_colours(colours, np.ones(colours.shape[:2], bool))
+        self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
+        self._model: Optional[ColourModel] = None
+
+    @property
+    def separability(self) -> float:
+        """0..1: how well filament and background are told apart by colour, see ColourModel; 1 while nothing is known."""
+        return 1.0 if self._filament is None else self._colours().separability
+
+    def observe(self, frame_bgr: np.ndarray, expected: Optional[Expected] = None) -> Observation:
+        """frame_bgr : (H, W, 3) uint8; expected : what must be seen, None where nothing is known."""
+        region = _region(expected, frame_bgr.shape[:2])
+        x0, y0, x1, y1 = region
+        crop = np.ascontiguousarray(frame_bgr[y0:y1, x0:x1])
+        mask = None if expected is None else np.ascontiguousarray(expected.mask[y0:y1, x0:x1])
+        plate = None
+        if self._plate is not None and self._plate.known.shape == frame_bgr.shape[:2]:
+            colours, known = self._plate.colours, self._plate.known
+            plate = Plate(np.ascontiguousarray(colours[y0:y1, x0:x1]), np.ascontiguousarray(known[y0:y1, x0:x1]))
+        model = self._colours(frame_bgr, expected)
+        seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2]), mask)
+        return seen.within(frame_bgr.shape[:2], region)
+
+    def learn(self, frame_bgr: np.ndarray, expected: Expected) -> None:
+        """Take this frame's look as that of filament and background. Only after a check in which all was well."""
+        observed = self.observe(frame_bgr, expected)
+        colours = opponent(frame_bgr)
+        inside = cv2.erode(expected.mask, np.ones((2 * _INSIDE_PX + 1,) * 2, np.uint8))
+        filament = (inside > 0) & (observed.mask > 0) & (observed.unsure == 0)
+        if self._plate is not None and self._plate.known.shape == filament.shape:
+            filament &= (self._plate.known > 0) | (_distance(colours, self._plate.colours) > _CHANGED)
+        outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
+        background = outside & (observed.mask == 0) & (observed.unsure == 0)
+        if filament.any():
+            known = np.zeros_like(self._background) if self._filament is None else self._filament
+            self._filament = _remember(known, count_colours(colours, filament))
+        self._background = _remember(self._background, count_colours(colours, background))
+        self._model = None
+        self._remember_plate(colours, filament, background)
+
+    def _remember_plate(self, colours: np.ndarray, filament: np.ndarray, background: np.ndarray) -> None:
+        known = np.zeros(colours.shape[:2], np.int8)
+        picture = colours.copy()
+        if self._plate is not None and self._plate.known.shape == known.shape:
+            known = self._plate.known.copy()
+            keep = ~(filament | background)
+            picture[keep] = self._plate.colours[keep]
+        known[background], known[filament] = -1, 1
+        self._plate = Plate(picture, known)
+
+    def _colours(self, frame_bgr: Optional[np.ndarray] = None, expected: Optional[Expected] = None) -> ColourModel:
+        """The colours learned; before any, those of this frame where material must lie and the bed does not show."""
+        if self._filament is None and frame_bgr is not None and expected is not None:
+            colours = opponent(frame_bgr)
+            lies = expected.mask > 0
+            background = self._background
+            if self._plate is not None and self._plate.known.shape == lies.shape:
+                lies &= _distance(colours, self._plate.colours) > _CHANGED
+            if not background.any():
+                background = count_colours(colours, expected.complete == 0)
+            return ColourModel(count_colours(colours, lies), background)
+        if self._model is None:
+            filament = np.zeros_like(self._background) if self._filament is None else self._filament
+            self._model = ColourModel(filament, self._background)
+        return self._model
+
+
+def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:
+    counts = known + new
+    return counts * min(1.0, _MEMORY_PX / max(float(counts.sum()), 1.0))
+
+
+def _distance(colours: np.ndarray, others: np.ndarray) -> np.ndarray:
+    difference = cv2.blur(cv2.absdiff(colours, others), (3, 3)).astype(np.float32)
+    return np.sqrt((difference * difference).sum(axis=-1))
+
+
+def _region(expected: Optional[Expected], shape: tuple[int, int]) -> tuple[int, int, int, int]:
+    """The part of the view that is looked at: about the complete print, half its size around; all of it without one."""
+    height, width = shape
+    x, y, w, h = (0, 0, 0, 0) if expected is None else cv2.boundingRect(expected.complete)
+    if not w:
+        return (0, 0, width, height)
+    margin = max(w, h) // 2 + 32
+    return (max(x - margin, 0), max(y - margin, 0), min(x + w + margin, width), min(y + h + margin, height))

@@ -1,0 +1,141 @@
+"""What filament and background look like in this print: colour statistics, and the same pixel's own past.
+
+Two kinds of evidence say whether a pixel is filament. Its colour, against histograms learned from this print; and the
+*plate*: the last picture in which it was known what this very pixel showed. A camera that stands still sees an
+unchanged pixel as what it was, which tells a black print from a black gantry where colour cannot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Optional
+
+import cv2
+import numpy as np
+
+_BITS = 5  # of each channel: 32 x 32 x 32 cells of colour
+_CELLS = 1 << (3 * _BITS)
+_CELL_VOLUME = float((256 >> _BITS) ** 3)
+_STRETCH = 2.0  # filaments and beds differ in a and b by a tenth of what they differ in L
+_FLOOR = 1e-8  # density of a colour never seen: neither filament nor background is favoured
+
+# How far an unchanged pixel wanders in stretched Lab (noise, JPEG blocks, shading), and how often it is unchanged
+_STAY_SIGMA = 14.0
+_STAY_SHARE = 0.5
+EVIDENCE_MAX = 4.0  # one pixel never says more than 55 : 1, since its neighbours repeat it
+
+
+def _stretch_table() -> np.ndarray:
+    level = np.arange(256, dtype=np.float64)
+    chroma = np.clip((level - 128) * _STRETCH + 128, 0, 255)
+    return np.stack([level, chroma, chroma], axis=-1).round().astype(np.uint8)[None]
+
+
+_STRETCH_TABLE = _stretch_table()
+
+
+def opponent(frame_bgr: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8: CIE L, and a and b about 128 stretched by two."""
+    return cv2.LUT(cv2.cvtColor(frame_bgr, cv2.COLOR_BGR2Lab), _STRETCH_TABLE)
+
+
+def _cells(colours: np.ndarray) -> np.ndarray:
+    """(H, W) uint16: the histogram cell of each pixel of an opponent picture."""
+    coarse = (colours >> (8 - _BITS)).astype(np.uint16)
+    return (coarse[..., 0] << (2 * _BITS)) | (coarse[..., 1] << _BITS) | coarse[..., 2]
+
+
+def _smooth(histogram: np.ndarray) -> np.ndarray:
+    """The histogram (float32, flat) blurred by one cell along each axis, so that a few hundred pixels fill it."""
+    side = 1 << _BITS
+    kernel = cv2.getGaussianKernel(7, 1.0).astype(np.float32)
+    cube = histogram.astype(np.float32).reshape(side, side * side)
+    one = np.ones((1, 1), np.float32)
+    cube = cv2.sepFilter2D(cube, -1, one, kernel).reshape(side, side, side)
+    return np.stack([cv2.sepFilter2D(plane, -1, kernel, kernel) for plane in cube]).reshape(-1)
+
+
+def count_colours(colours: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """(32768,) float64: how many of the pixels chosen by `where` (bool) have each colour of an opponent picture."""
+    return np.bincount(_cells(colours)[where], minlength=_CELLS).astype(np.float64)
+
+
+def every_colour() -> np.ndarray:
+    """(1, 32768, 3) uint8 BGR: the colour in the middle of each cell, in the order of the counts."""
+    side, width = 1 << _BITS, 256 >> _BITS
+    grid = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(1, -1, 3)
+    lab = (grid * width + width // 2).astype(np.float64)
+    lab[..., 1:] = (lab[..., 1:] - 128) / _STRETCH + 128
+    return cv2.cvtColor(np.clip(lab, 0, 255).astype(np.uint8), cv2.COLOR_Lab2BGR)
+
+
+@dataclass(frozen=True, eq=False)
+class ColourModel:
+    """Counts of colours on filament and on background, each (32768,) float64, and the densities made of them."""
+
+    filament: np.ndarray
+    background: np.ndarray
+    _densities: tuple[np.ndarray, np.ndarray] = field(init=False)
+
+    def __post_init__(self) -> None:
+        made = tuple(
+            (_smooth(counts) / (max(float(counts.sum()), 1.0) * _CELL_VOLUME)).astype(np.float32)
+            for counts in (self.filament, self.background)
+        )
+        object.__setattr__(self, "_densities", made)
+
+    def densities(self, colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W) float32 each: how dense filament and background lie about each pixel's colour."""
+        cells = _cells(colours)
+        return np.take(self._densities[0], cells), np.take(self._densities[1], cells)
+
+    @property
+    def separability(self) -> float:
+        """0..1: the share of filament and background that colour alone tells apart; 0 where they look alike.
+
+        Total variation distance of the two densities, that is 1 - 2 x the error of the best possible guess.
+        """
+        on, off = self._densities
+        return float(min(1.0, 0.5 * np.abs(on - off).sum() * _CELL_VOLUME))
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """What each pixel was known to show.
+
+    colours : (H, W, 3) uint8, opponent picture
+    known   : (H, W) int8: 1 filament, -1 background, 0 not known
+    """
+
+    colours: np.ndarray
+    known: np.ndarray
+
+    def shrunk(self, step: int) -> Plate:
+        """At 1/step of the size."""
+        if step == 1:
+            return self
+        size = (max(self.known.shape[1] // step, 1), max(self.known.shape[0] // step, 1))
+        known = cv2.resize(self.known.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        return Plate(
+            cv2.resize(self.colours, size, interpolation=cv2.INTER_AREA), np.sign(np.round(known)).astype(np.int8)
+        )
+
+
+def evidence(colours: np.ndarray, model: ColourModel, plate: Optional[Plate] = None) -> np.ndarray:
+    """(H, W) float32: log likelihood ratio of filament against background, within +-EVIDENCE_MAX.
+
+    A pixel known to have shown filament shows, if filament, either the same as then or any filament colour; likewise
+    for background. 0 where the picture says nothing.
+    """
+    on, off = model.densities(colours)
+    if plate is not None:
+        difference = cv2.absdiff(colours, plate.colours).astype(np.float32)
+        squared = cv2.transform(cv2.multiply(difference, difference), np.ones((1, 3), np.float32))
+        squared = cv2.blur(squared, (3, 3))
+        stay = cv2.exp(squared * np.float32(-0.5 / _STAY_SIGMA**2))
+        stay *= np.float32(_STAY_SHARE / ((2 * np.pi) ** 1.5 * _STAY_SIGMA**3))
+        share = np.float32(_STAY_SHARE)
+        on = np.where(plate.known > 0, stay + (1 - share) * on, on)
+        off = np.where(plate.known < 0, stay + (1 - share) * off, off)
+    ratio = cv2.log(on + np.float32(_FLOOR)) - cv2.log(off + np.float32(_FLOOR))
+    return np.clip(ratio, -EVIDENCE_MAX, EVIDENCE_MAX)
