@@ -67,6 +67,14 @@ DEFAULTS: dict[str, Any] = {f.name: f.default for f in fields(Settings)}
 _FIELDS: dict[str, Field[Any]] = {f.name: f for f in fields(Settings)}
 
 
+def described() -> dict[str, dict[str, Any]]:
+    """Name -> default, sentence, whether it is a whole number and, where they apply, low, high, unit or choices."""
+    return {
+        name: {"default": found.default, "whole": type(found.default) is int, **found.metadata}
+        for name, found in _FIELDS.items()
+    }
+
+
 def read_settings(raw: Mapping[str, Any]) -> Settings:
     """Settings from stored or sent values; what is not named keeps its default, what is not known is passed over.
 
