@@ -1,0 +1,197 @@
+"""The eye: the child process that does all the looking. `python -m octoprint_moop.machine.eye`, spoken to over pipes.
+
+Parsing a big file in Python, drawing and a GL driver's crash must not touch the server that feeds a printer, so they
+happen here: niced, with one thread that owns the GL context. The eye ends when its standard input does. Everything
+that it knows of a print can be rebuilt from the job and the recording on disk.
+"""
+
+from __future__ import annotations
+
+import os
+
+# Before cv2 is imported: a small picture file that unfolds to gigabytes is refused, and cores are left to the server.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(30_000_000))
+os.environ.setdefault("OMP_NUM_THREADS", "2")
+
+import contextlib
+import gzip
+import shutil
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Callable
+
+import cv2
+import numpy as np
+
+from ..core.errors import FrameError, MoopError
+from ..core.gcode import read_gcode
+from ..core.header import Header, Moment
+from ..core.inspection import Inspector
+from ..core.raster import CvRenderer
+from ..core.segment import HsvThresholds, segment_hsv
+from .pipe import receive, send
+from .recording import Recording
+from .renderers import open_renderer
+
+if TYPE_CHECKING:
+    from .gl import GlRenderer
+
+REBUILT_CHECKS = 300
+Answer = tuple[dict[str, Any], list[bytes]]
+
+
+class Eye:
+    """What the eye can be asked. Each public method is one question; arguments and answers are JSON and bytes."""
+
+    def __init__(self) -> None:
+        self._inspector: Inspector | None = None
+        self._renderer_stack = contextlib.ExitStack()
+        self._renderer: GlRenderer | CvRenderer | None = None
+
+    def index(self, blobs: list[bytes], job: str, cache: str) -> Answer:
+        """Get ready for a G-code file that will probably be printed, so that `open` is quick. Answers layers, renderer."""
+        return {"layers": read_gcode(Path(job), cache_dir=Path(cache)).layers, "renderer": self._draw().name}, []
+
+    def open(
+        self,
+        blobs: list[bytes],
+        job: str,
+        header: dict[str, Any],
+        sensitivity: str,
+        cache: str,
+        keep_as: str | None = None,
+        recording: str | None = None,
+    ) -> Answer:
+        """Get ready to watch a print: read the G-code and make the inspector.
+
+        job       : path of the G-code file
+        blobs     : the empty bed's picture, JPEG, or nothing
+        keep_as   : where to put a packed copy of the job, for the recording
+        recording : a recording's folder, to learn again what was known of this print before the eye was restarted
+        Answers layers, ends (file position of each layer's end), objects, notes, renderer.
+        """
+        toolpath = read_gcode(Path(job), cache_dir=Path(cache))
+        if keep_as and not Path(keep_as).exists():
+            _pack(Path(job), Path(keep_as))
+        reference = decode(blobs[0]) if blobs else None
+        self._inspector = Inspector(
+            Header.from_json(header), toolpath, self._draw(), sensitivity=sensitivity, reference_bgr=reference
+        )
+        if recording:
+            self._learn_again(Recording.open(recording))
+        return {
+            "layers": toolpath.layers,
+            "ends": toolpath.layer_end_pos.tolist(),
+            "objects": list(toolpath.objects),
+            "notes": list(toolpath.notes),
+            "renderer": self._draw().name,
+        }, []
+
+    def check(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
+        """One check of the print that is open. blobs: the frame, JPEG."""
+        return self._opened().check(decode(blobs[0]), Moment.from_json(moment)).to_json(), []
+
+    def pictures(self, blobs: list[bytes]) -> Answer:
+        """The masks of the last check as PNGs: seen, expected, ignored. No blobs where nothing could be compared."""
+        pictures = self._opened().pictures
+        if pictures is None:
+            return {}, []
+        return {}, [encode_mask(mask) for mask in (pictures.observed, pictures.expected, pictures.ignored)]
+
+    def segment(self, blobs: list[bytes], material: dict[str, Any]) -> Answer:
+        """The mask, as a PNG, that these thresholds give on a frame (blobs: JPEG)."""
+        mask = segment_hsv(decode(blobs[0]), HsvThresholds.from_json(material))
+        return {"filament_px": int(cv2.countNonZero(mask))}, [encode_mask(mask)]
+
+    def validate(self, blobs: list[bytes], header: dict[str, Any]) -> Answer:
+        """The header of a recording, read and written again: what is missing or wrong in it is an error here."""
+        return Header.from_json(header).to_json(), []
+
+    def close(self) -> None:
+        self._renderer_stack.close()
+
+    def _draw(self) -> GlRenderer | CvRenderer:
+        if self._renderer is None:
+            self._renderer = self._renderer_stack.enter_context(open_renderer())
+        return self._renderer
+
+    def _opened(self) -> Inspector:
+        if self._inspector is None:
+            raise MoopError("No print is being watched just now. Start one, then look again.")
+        return self._inspector
+
+    def _learn_again(self, recording: Recording) -> None:
+        for moment in recording.moments[-REBUILT_CHECKS:]:
+            with contextlib.suppress(MoopError):  # one damaged picture must not cost what the others teach
+                self._opened().check(recording.frame(moment), moment)
+
+
+QUESTIONS: dict[str, Callable[..., Answer]] = {
+    name: getattr(Eye, name) for name in ("index", "open", "check", "pictures", "segment", "validate")
+}
+
+
+def decode(jpeg: bytes) -> np.ndarray:
+    """(H, W, 3) uint8 BGR. Raises FrameError where this is not a picture, or a far too large one."""
+    try:
+        frame = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
+    except (cv2.error, MemoryError):
+        frame = None
+    if frame is None:
+        raise FrameError("The webcam's picture cannot be decoded, or is larger than 30 megapixels. Look at it yourself.")
+    return frame
+
+
+def encode_mask(mask: np.ndarray) -> bytes:
+    """PNG of a (H, W) uint8 mask; quickly, since masks are small either way."""
+    return cv2.imencode(".png", mask, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
+def _pack(job: Path, packed: Path) -> None:
+    partial = packed.with_name(packed.name + ".part")
+    try:
+        with open(job, "rb") as source, gzip.open(partial, "wb", compresslevel=1) as target:
+            shutil.copyfileobj(source, target, 1 << 20)
+        os.replace(partial, packed)
+    except OSError:  # a full disk costs the recording, never the check
+        partial.unlink(missing_ok=True)
+
+
+def _step_back() -> None:
+    """The printer, the server and the camera come first; when memory runs out, the eye is what should go."""
+    if hasattr(os, "nice"):
+        os.nice(10)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500")
+    cv2.setNumThreads(2)
+
+
+def main() -> int:
+    questions = sys.stdin.buffer
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints must not tear an answer apart
+    _step_back()
+    eye = Eye()
+    try:
+        while True:
+            try:
+                head, blobs = receive(questions)
+            except EOFError:
+                return 0
+            try:
+                result, out = QUESTIONS[head["do"]](eye, blobs, **head["arguments"])
+                send(answers, {"id": head["id"], "result": result}, out)
+            except MoopError as error:
+                send(answers, {"id": head["id"], "error": {"code": error.code, "message": str(error)}})
+            except Exception as error:  # a bug of ours: the server logs it, and the next question may go well
+                trace = traceback.format_exc()
+                send(answers, {"id": head["id"], "bug": f"{type(error).__name__}: {error}", "traceback": trace})
+    except BrokenPipeError:
+        return 0
+    finally:
+        eye.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

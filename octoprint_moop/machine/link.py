@@ -1,0 +1,187 @@
+"""The server's end of the pipe to the eye: starts it, asks it, gives up in time, and starts it again."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Sequence
+
+from ..core.errors import MoopError
+from .pipe import receive, send
+
+log = logging.getLogger("octoprint.plugins.moop.eye")
+
+_PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
+
+
+class EyeGone(MoopError):
+    """The eye died, or did not answer in time and was ended. What it knew of the print is lost with it."""
+
+    code = "eye"
+
+
+class Interrupted(MoopError):
+    """Whoever asked does not want the answer any more."""
+
+    code = "interrupted"
+
+
+@dataclass
+class _Question:
+    head: dict[str, Any]
+    blobs: Sequence[bytes]
+    answered: threading.Event = field(default_factory=threading.Event)
+    answer: tuple[dict[str, Any], list[bytes]] | None = None  # None once answered: the eye has gone
+
+
+class EyeLink:
+    """One child process at a time, started when it is first asked and after each death. Safe for several threads.
+
+    `births` counts the processes so far: who keeps something in the eye compares it to learn that it is gone.
+    """
+
+    def __init__(self, module: str = "octoprint_moop.machine.eye") -> None:
+        self._module = module
+        self._lock = threading.Lock()
+        self._child: _Child | None = None
+        self._next_id = 0
+        self.births = 0
+
+    def ask(
+        self,
+        do: str,
+        *blobs: bytes,
+        timeout_s: float,
+        interrupted: threading.Event | None = None,
+        **arguments: Any,
+    ) -> tuple[dict[str, Any], list[bytes]]:
+        """The eye's answer: JSON and bytes.
+
+        Raises the eye's own MoopError; EyeGone where it dies or is ended for taking longer than `timeout_s`;
+        Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
+        """
+        with self._lock:
+            if self._child is None or not self._child.alive:
+                self._child = _Child(self._module)
+                self.births += 1
+            child = self._child
+            self._next_id += 1
+            question = _Question({"id": self._next_id, "do": do, "arguments": arguments}, blobs)
+        child.questions.put(question)
+        deadline_s = time.monotonic() + timeout_s
+        while not question.answered.wait(0.02 if interrupted is not None else min(0.5, timeout_s)):
+            if interrupted is not None and interrupted.is_set():
+                raise Interrupted(f"Nobody waits any more for the answer to {do!r}.")
+            if time.monotonic() > deadline_s:
+                child.kill()
+                raise EyeGone(f"Looking took longer than {timeout_s:.0f} s and was given up.")
+            if not child.alive and not question.answered.wait(1.0):  # asked in the moment of its death
+                break
+        if question.answer is None:
+            raise EyeGone(f"The process that looks at the pictures ended ({child.last_words()}).")
+        return _result(do, *question.answer)
+
+    @property
+    def pid(self) -> int | None:
+        """Of the living process; None where there is none."""
+        child = self._child
+        return child.pid if child is not None and child.alive else None
+
+    def close(self) -> None:
+        """End the process. A later question starts a new one."""
+        with self._lock:
+            child, self._child = self._child, None
+        if child is not None:
+            child.kill()
+
+
+def _result(do: str, head: dict[str, Any], blobs: list[bytes]) -> tuple[dict[str, Any], list[bytes]]:
+    if "error" in head:
+        error = head["error"]
+        kinds = {kind.code: kind for kind in MoopError.__subclasses__()}
+        raise kinds.get(error["code"], MoopError)(error["message"])
+    if "bug" in head:
+        log.error("The eye could not answer %r:\n%s", do, head["traceback"])
+        raise MoopError(f"Looking failed ({head['bug']}). The log has the details; please report them.")
+    return head["result"], blobs
+
+
+class _Child:
+    """One life of the process, with the thread that writes its questions and reads its answers, one after the other."""
+
+    def __init__(self, module: str) -> None:
+        # From the package's own parent folder, so that the same package is found however the server found it, and
+        # nothing in the server's working folder can stand in for a module.
+        path = os.pathsep.join(filter(None, (_PACKAGE_PARENT, os.environ.get("PYTHONPATH"))))
+        self._errors: IO[bytes] = tempfile.TemporaryFile()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, cwd=_PACKAGE_PARENT,
+            env={**os.environ, "PYTHONPATH": path},
+        )  # fmt: skip
+        self.pid = self._process.pid
+        self.alive = True
+        self.questions: queue.SimpleQueue[_Question | None] = queue.SimpleQueue()
+        threading.Thread(target=self._converse, name="moop.eye", daemon=True).start()
+
+    def kill(self) -> None:
+        self.alive = False
+        self._process.kill()
+        self.questions.put(None)
+
+    def last_words(self) -> str:
+        """How it ended and the last line that it wrote to standard error."""
+        code = self._process.poll()
+        how = f"signal {-code}" if code is not None and code < 0 else f"status {code}"
+        try:
+            size = self._errors.seek(0, os.SEEK_END)
+            self._errors.seek(max(size - 2000, 0))
+            lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        except (OSError, ValueError):
+            lines = []
+        return f"{how}: {lines[-1][:200]}" if lines else how
+
+    def _converse(self) -> None:
+        question: _Question | None = None
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            while (question := self.questions.get()) is not None:
+                send(self._process.stdin, question.head, question.blobs)
+                head: dict[str, Any] = {}
+                while head.get("id") != question.head["id"]:
+                    head, blobs = receive(self._process.stdout)
+                question.answer = (head, blobs)
+                question.answered.set()
+        except (EOFError, OSError):
+            pass
+        except Exception:
+            log.exception("The conversation with the eye broke off")
+        finally:
+            self.alive = False
+            self._process.kill()
+            self._process.wait()
+            for stream in (self._process.stdin, self._process.stdout):
+                try:
+                    stream.close()
+                except OSError:
+                    pass
+            if question is not None:
+                question.answered.set()
+            self._drop_the_rest()
+
+    def _drop_the_rest(self) -> None:
+        while True:
+            try:
+                waiting = self.questions.get_nowait()
+            except queue.Empty:
+                return
+            if waiting is not None:
+                waiting.answered.set()
