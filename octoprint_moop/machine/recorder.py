@@ -1,0 +1,179 @@
+"""Writing recordings, as FORMATS.md, section 3, fixes them, within a budget of disk space.
+
+Apart from `recording.py`, which reads them, because the server writes and must not load OpenCV to do so.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import RecordingError
+from .setups import write_json
+
+log = logging.getLogger("octoprint.plugins.moop.recorder")
+
+SPARE_BYTES = 300 * 1024 * 1024
+"""What is left to the system: nothing is recorded on a disk with less free space than this."""
+
+_WORSE = ("ok", "unusable", "camera_moved", "suspect", "failed")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+
+
+class Recorder:
+    """Writes one print's recording. A disk that is full or broken ends the recording, never the watching."""
+
+    def __init__(self, root: Path, job_name: str, header: dict[str, Any], budget_bytes: int) -> None:
+        self._root, self._budget_bytes = root, budget_bytes
+        self._header = header
+        self._outcome: dict[str, Any] = {"job": job_name, "checks": 0, "verdict": "ok", "mode": None, "layer": None}
+        self._frames = 0
+        self.folder: Path | None = None
+        """None where nothing is recorded (any more)."""
+        self.trouble = ""
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            self._make_room()
+            folder = _new_folder(root, job_name)
+            (folder / "frames").mkdir()
+            write_json(folder / "recording.json", header)
+            write_json(folder / "outcome.json", self._outcome)
+            (folder / "frames.jsonl").touch()
+            self.folder = folder
+        except OSError as error:
+            self._give_up(error)
+
+    def add_reference(self, jpeg: bytes) -> None:
+        """The empty bed, before the print."""
+        if self.folder is not None:
+            try:
+                (self.folder / "reference.jpg").write_bytes(jpeg)
+            except OSError as error:
+                self._give_up(error)
+
+    def name_frame(self) -> str:
+        """The name that the next frame will have."""
+        return f"frames/{self._frames:06d}.jpg"
+
+    def add(self, jpeg: bytes, moment: dict[str, Any], check: dict[str, Any] | None) -> None:
+        """One frame with its moment, and what was concluded, None where nothing was. The frame's name is `moment`'s."""
+        self._frames += 1
+        if self.folder is None:
+            return
+        try:
+            # The picture first: a power cut between the two leaves a picture too many, never a line without one.
+            (self.folder / moment["frame"]).write_bytes(jpeg)
+            _append(self.folder / "frames.jsonl", moment)
+            if check is not None:
+                _append(self.folder / "checks.jsonl", check)
+                self._note(check)
+            if self._frames % 50 == 0:
+                self._make_room()
+        except OSError as error:
+            self._give_up(error)
+
+    def end(self, ended: str) -> None:
+        """The print is over: `done`, `cancelled` or `failed`."""
+        if self.folder is not None:
+            self._outcome["ended"] = ended
+            try:
+                write_json(self.folder / "outcome.json", self._outcome)
+                self._make_room()
+            except OSError as error:
+                self._give_up(error)
+
+    def _note(self, check: dict[str, Any]) -> None:
+        self._outcome["checks"] += 1
+        if _WORSE.index(check["verdict"]) > _WORSE.index(self._outcome["verdict"]):
+            self._outcome.update(verdict=check["verdict"], mode=check["mode"], layer=check["layer"])
+            write_json(self.folder / "outcome.json", self._outcome)  # type: ignore[operator]
+
+    def _make_room(self) -> None:
+        make_room(self._root, self._budget_bytes, keep=self.folder)
+        if shutil.disk_usage(self._root).free < SPARE_BYTES:
+            raise OSError("the disk is almost full")
+
+    def _give_up(self, error: OSError) -> None:
+        self.folder = None
+        self.trouble = f"This print is not recorded any more: {error.strerror or error}."
+        log.warning(self.trouble, exc_info=True)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """One recording on disk. outcome: job, checks, worst verdict with its mode and layer, ended (absent: cut short)."""
+
+    name: str
+    bytes: int
+    outcome: dict[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        return {"name": self.name, "bytes": self.bytes, **self.outcome}
+
+
+def kept(root: Path) -> list[Kept]:
+    """All recordings, oldest first (their names begin with the time)."""
+    if not root.is_dir():
+        return []
+    found = []
+    for folder in sorted(path for path in root.iterdir() if NAME.fullmatch(path.name) and path.is_dir()):
+        try:
+            outcome = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            outcome = {}
+        size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+        found.append(Kept(folder.name, size, outcome if isinstance(outcome, dict) else {}))
+    return found
+
+
+def make_room(root: Path, budget_bytes: int, keep: Path | None = None) -> None:
+    """Remove recordings until they fit into the budget: the oldest first, those of failed prints last.
+
+    keep : the one that is being written, never removed
+    """
+    recordings = kept(root)
+    used = sum(recording.bytes for recording in recordings)
+    for recording in sorted(recordings, key=lambda r: (r.outcome.get("verdict") == "failed", r.name)):
+        if used <= budget_bytes:
+            return
+        if keep is None or recording.name != keep.name:
+            shutil.rmtree(root / recording.name, ignore_errors=True)
+            used -= recording.bytes
+
+
+def find(root: Path, name: str) -> Path | None:
+    """The recording's folder; None where there is none of that name, or the name is not one."""
+    folder = root / name
+    return folder if NAME.fullmatch(name) and folder.is_dir() else None
+
+
+def remove(folder: Path) -> None:
+    """Raises RecordingError where it cannot be removed."""
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise RecordingError(f"{folder.name} cannot be removed: {error.strerror or error}.") from None
+
+
+def _new_folder(root: Path, job_name: str) -> Path:
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(job_name).stem).strip("._-")[:60] or "print"
+    name = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}_{stem}"
+    for attempt in range(1000):
+        folder = root / (name if not attempt else f"{name}_{attempt}")
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:
+            continue
+    raise OSError(f"no free name for {name}")
+
+
+def _append(path: Path, line: dict[str, Any]) -> None:
+    with open(path, "a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
