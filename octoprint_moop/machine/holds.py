@@ -1,0 +1,186 @@
+"""Holding the job at the end of a layer: what the G-code hooks do, and nothing that takes time.
+
+The hooks run in OctoPrint's serial threads, where a millisecond is a stalled printer. Below the next boundary they
+compare one number. At a boundary they hold the job, send M400 and M114 after the layer's last command, and hand the
+hold over; whoever took it over waits for the printer's report and must release it.
+"""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import logging
+import math
+import re
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any, Callable, Collection, Protocol, Sequence
+
+log = logging.getLogger("octoprint.plugins.moop.holds")
+
+SETTLE_TAG = "moop:settle"
+_REPORT = re.compile(r"X:\s*(-?\d+(?:\.\d+)?)\s*Y:\s*(-?\d+(?:\.\d+)?)\s*Z:\s*(-?\d+(?:\.\d+)?)")
+
+
+class Printer(Protocol):
+    """The part of OctoPrint's printer interface that is used here."""
+
+    def set_job_on_hold(self, value: bool, blocking: bool = True) -> Any: ...
+
+
+@dataclass(eq=False)
+class Hold:
+    """The job stands at `file_pos`; `layer` is the one that ended there, or is being printed where none ends.
+
+    over     : set when waiting is over: the printer reported its position, or the hold has lost its purpose
+    dropped  : why it has lost its purpose, "" while it has not
+    lost     : the connection went, and OctoPrint's hold with it
+    """
+
+    file_pos: int
+    layer: int
+    tag: str
+    since_s: float = field(default_factory=time.monotonic)
+    armed: bool = False
+    position_mm: tuple[float, float, float] | None = None
+    over: threading.Event = field(default_factory=threading.Event)
+    stopped: threading.Event = field(default_factory=threading.Event)
+    dropped: str = ""
+    lost: bool = False
+
+    def drop(self, why: str, lost: bool = False) -> None:
+        self.dropped, self.lost = why, lost or self.lost
+        self.stopped.set()
+        self.over.set()
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """ends: file position of each layer's end, rising; wanted: those at which to hold, with their layer."""
+
+    ends: Sequence[int]
+    wanted: dict[int, int]
+    wanted_pos: Sequence[int]
+    not_before_s: float
+
+    def after(self, file_pos: float) -> float:
+        index = bisect.bisect_right(self.wanted_pos, file_pos)
+        return self.wanted_pos[index] if index < len(self.wanted_pos) else math.inf
+
+
+class Holds:
+    """The one owner of this plugin's hold. At most one exists at a time.
+
+    hand_over : called with each new hold, from a serial thread; must not block
+    missed    : boundaries since the last hold that never came by as a line of the file
+    refused   : why the last hold was impossible, "" where it was not
+    """
+
+    def __init__(self, printer: Printer, hand_over: Callable[[Hold], None]) -> None:
+        self._printer, self._hand_over = printer, hand_over
+        self._plan: _Plan | None = None
+        self._next_pos: float = math.inf
+        self._asked = False
+        self._hold: Hold | None = None
+        self._numbers = itertools.count()
+        self._lock = threading.Lock()
+        self.missed = 0
+        self.refused = ""
+
+    # --- for the watching thread ----------------------------------------------------------------------------------
+
+    def plan(self, ends: Sequence[int], every_layers: int = 1, after_pos: float = -1, not_before_s: float = 0.0) -> None:
+        """Hold at the end of every so many layers, from `after_pos` on, not before `not_before_s` (monotonic)."""
+        wanted = {pos: layer for layer, pos in enumerate(ends) if (layer + 1) % every_layers == 0}
+        plan = _Plan(ends, wanted, sorted(wanted), not_before_s)
+        self._plan = plan
+        self._next_pos = plan.after(after_pos)
+
+    def plan_none(self) -> None:
+        """No new holds; one that stands is not touched."""
+        self._next_pos, self._plan, self._asked = math.inf, None, False
+
+    def ask(self) -> bool:
+        """Hold at the very next line of the file. False where no plan is made, or a hold stands already."""
+        if self._plan is None or self._hold is not None:
+            return False
+        self._asked = True
+        self._next_pos = 0
+        return True
+
+    def drop(self, why: str, lost: bool = False) -> None:
+        """Whoever waits for a hold shall stop waiting and release it. lost: its connection has gone."""
+        hold = self._hold
+        if hold is not None:
+            hold.drop(why, lost)
+
+    def release(self, hold: Hold) -> None:
+        """Let the job go on. Harmless where it was done before, or the connection has gone."""
+        with self._lock:
+            if self._hold is not hold:
+                return
+            self._hold = None
+        if hold.lost:
+            return
+        try:
+            self._printer.set_job_on_hold(False)
+        except Exception:  # no connection any more, and with it no hold
+            log.warning("The hold could not be released", exc_info=True)
+
+    # --- for the hooks --------------------------------------------------------------------------------------------
+
+    def line_queuing(self, command: str, file_pos: int) -> list[Any] | None:
+        """What to send for this line of the file; None to leave it as it is."""
+        if file_pos < self._next_pos:
+            return None
+        hold = self._take(file_pos)
+        if hold is None:
+            return None
+        return [command, ("M400", None, {hold.tag}), ("M114", None, {hold.tag})]
+
+    def line_sent(self, gcode: str | None, tags: Collection[str] | None) -> None:
+        hold = self._hold
+        if hold is not None and gcode == "M114" and tags and hold.tag in tags:
+            hold.armed = True
+
+    def line_received(self, line: str) -> None:
+        hold = self._hold
+        if hold is None or not hold.armed or hold.position_mm is not None:
+            return
+        report = _REPORT.search(line)
+        if report:
+            x, y, z = report.groups()
+            hold.position_mm = (float(x), float(y), float(z))
+            hold.over.set()
+
+    def _take(self, file_pos: int) -> Hold | None:
+        plan = self._plan
+        if plan is None or self._hold is not None:
+            self._next_pos = math.inf
+            return None
+        layer = plan.wanted.get(file_pos)
+        if self._asked:
+            layer = min(bisect.bisect_left(plan.ends, file_pos), len(plan.ends) - 1)
+        elif layer is None:
+            self.missed += 1
+        if layer is None or (time.monotonic() < plan.not_before_s and not self._asked):
+            self._next_pos = plan.after(file_pos)
+            return None
+        hold = Hold(file_pos, layer, f"{SETTLE_TAG}:{next(self._numbers)}")
+        self._hold, self._asked = hold, False
+        try:
+            answer = self._printer.set_job_on_hold(True, blocking=False)
+        except Exception as error:  # not connected; or a connection of another kind
+            answer, self.refused = False, f"{type(error).__name__}: {error}"
+        if not answer:
+            self._hold = None
+            # OctoPrint 2 answers None where the connection knows no hold at all; False is another plugin being busy.
+            self._next_pos = math.inf if answer is None else plan.after(file_pos)
+            if answer is None:
+                self.refused = "this kind of connection has no hold"
+            return None
+        self._next_pos = math.inf
+        self.missed, self.refused = 0, ""
+        self._hand_over(hold)
+        return hold
