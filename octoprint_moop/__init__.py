@@ -6,3 +6,12 @@ and the command line run without OctoPrint and a broken native library cannot ke
 
 __plugin_name__ = "MOOP"
 __plugin_pythoncompat__ = ">=3.9,<4"
+
+
+def __plugin_load__() -> None:
+    from .plugin import MoopPlugin
+
+    global __plugin_implementation__, __plugin_hooks__
+    plugin = MoopPlugin()
+    __plugin_implementation__ = plugin
+    __plugin_hooks__ = plugin.hooks()

@@ -1,0 +1,216 @@
+"""The plugin as OctoPrint sees it: mixins and hooks that hand everything to the watch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import octoprint.plugin
+from octoprint.access import ADMIN_GROUP, READONLY_GROUP, USER_GROUP
+from octoprint.events import Events
+
+from .api import MoopApi
+from .core.errors import SettingsError
+from .core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
+from .machine.link import EyeLink
+from .machine.setups import Setups
+from .machine.watch import Job, Watch
+from .machine.webcam import Webcam, octoprint_webcam, webcam_name
+
+REPOSITORY = ("moop3d", "OctoPrint-MOOP")
+
+
+class MoopPlugin(
+    MoopApi,
+    octoprint.plugin.StartupPlugin,
+    octoprint.plugin.ShutdownPlugin,
+    octoprint.plugin.SettingsPlugin,
+    octoprint.plugin.EventHandlerPlugin,
+    octoprint.plugin.AssetPlugin,
+    octoprint.plugin.TemplatePlugin,
+):
+    """Wires OctoPrint's printer, webcam, events and settings to one `Watch`, one eye for it, and one for the set-up."""
+
+    # --- life -----------------------------------------------------------------------------------------------------
+
+    def initialize(self) -> None:
+        data = Path(self.get_plugin_data_folder())
+        self._recordings = data / "recordings"
+        self._setups = Setups(data / "setups.json")
+        self._moop_settings = self._stored_settings()
+        self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
+        # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.
+        self._watch_eye, self._bench_eye = EyeLink(), EyeLink()
+        self._watch = Watch(
+            self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache",
+            self._moop_settings, self._tell, self._plugin_version,
+        )  # fmt: skip
+
+    def on_after_startup(self) -> None:
+        self._watch.start()
+
+    def on_shutdown(self) -> None:
+        self._watch.stop()
+        self._watch_eye.close()
+        self._bench_eye.close()
+
+    def _tell(self, kind: str, payload: dict[str, Any]) -> None:
+        """From the watching thread to the pages and to OctoPrint's event bus."""
+        send = self._plugin_manager.send_plugin_message
+        if kind in ("status", "check"):
+            send(self._identifier, {"type": kind, kind: payload})
+        elif kind == "failed":
+            send(self._identifier, {"type": kind, **payload})
+        if kind != "status":
+            self._event_bus.fire(f"plugin_{self._identifier}_{kind}", payload)
+
+    # --- events ---------------------------------------------------------------------------------------------------
+
+    def on_event(self, event: str, payload: Any) -> None:
+        """On the thread that all plugins share: every answer here is to put something into a mailbox."""
+        watch = self._watch
+        if event == Events.FILE_SELECTED:
+            if payload.get("origin") == "local":
+                watch.job_selected(self._file_manager.path_on_disk("local", payload["path"]))
+        elif event == Events.PRINT_STARTED:
+            watch.job_started(self._job(payload))
+        elif event == Events.PRINT_DONE:
+            watch.job_over("done")
+        elif event == Events.PRINT_CANCELLED:
+            watch.job_over("cancelled")
+        elif event == Events.PRINT_FAILED:
+            watch.job_over("failed")
+        elif event == Events.PRINT_CANCELLING:
+            watch.job_stopping("the print is being cancelled")
+        elif event in (Events.DISCONNECTING, Events.PRINTER_RESET, Events.ERROR):
+            watch.job_stopping(f"the printer went away ({event})")
+        elif event == Events.DISCONNECTED:
+            watch.job_over("disconnected", lost=True)
+        elif event == Events.SHUTDOWN:
+            watch.job_stopping("the server stops")
+
+    def _job(self, payload: Any) -> Job:
+        name = str(payload.get("name") or payload.get("path") or "")
+        if payload.get("origin") != "local":
+            why = "This print runs from the printer's own storage, where nobody can hold it for a look."
+            return Job(name, None, None, why)
+        path = self._file_manager.path_on_disk("local", payload["path"])
+        return Job(name, path, self._setups.get(*self._setup_key()))
+
+    def _setup_key(self) -> tuple[str, str]:
+        """Printer profile and webcam that a set-up holds for."""
+        profile = self._printer_profile_manager.get_current_or_default()
+        return str(profile["id"]), webcam_name(self._moop_settings.webcam)
+
+    # --- settings -------------------------------------------------------------------------------------------------
+
+    def get_settings_defaults(self) -> dict[str, Any]:
+        return dict(DEFAULTS)
+
+    def get_settings_version(self) -> int:
+        return VERSION
+
+    def on_settings_migrate(self, target: int, current: int | None) -> None:
+        stored = self._settings.get_all_data(merged=False, incl_defaults=False) or {}
+        for name, value in migrate(stored, current).items():
+            if name in DEFAULTS and stored.get(name) != value:
+                self._settings.set([name], value)
+
+    def on_settings_save(self, data: dict[str, Any]) -> Any:
+        good = {}
+        for name, value in data.items():
+            try:
+                good[name] = read_value(name, value)
+            except SettingsError as error:
+                self._logger.warning("Not saved: %s", error)
+                self._plugin_manager.send_plugin_message(
+                    self._identifier, {"type": "refused", "setting": name, "message": str(error)}
+                )
+        saved = octoprint.plugin.SettingsPlugin.on_settings_save(self, good)
+        self._moop_settings = self._stored_settings()
+        self._watch.apply(self._moop_settings)
+        return saved
+
+    def _stored_settings(self) -> Settings:
+        """What is stored, where it makes sense: a value edited by hand into nonsense must not end the watching."""
+        values = {}
+        for name in DEFAULTS:
+            try:
+                values[name] = read_value(name, self._settings.get([name]))
+            except SettingsError as error:
+                self._logger.warning("The default is used: %s", error)
+        return read_settings(values)
+
+    # --- page -----------------------------------------------------------------------------------------------------
+
+    def get_assets(self) -> dict[str, list[str]]:
+        static = Path(self._basefolder) / "static"
+        return {
+            kind: sorted(f"{folder}/{path.name}" for path in (static / folder).glob(f"*.{suffix}"))
+            for kind, folder, suffix in (("js", "js", "js"), ("css", "css", "css"), ("clientjs", "clientjs", "js"))
+        }
+
+    def get_template_vars(self) -> dict[str, Any]:
+        return {"fields": described()}
+
+    def is_template_autoescaped(self) -> bool:
+        return True
+
+    # --- hooks ----------------------------------------------------------------------------------------------------
+
+    def hooks(self) -> dict[str, Any]:
+        return {
+            "octoprint.comm.protocol.gcode.queuing": self.on_gcode_queuing,
+            "octoprint.comm.protocol.gcode.sent": self.on_gcode_sent,
+            "octoprint.comm.protocol.gcode.received": self.on_gcode_received,
+            "octoprint.access.permissions": self.permissions,
+            "octoprint.events.register_custom_events": self.custom_events,
+            "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
+            "octoprint.plugin.softwareupdate.check_config": self.update_information,
+        }
+
+    def on_gcode_queuing(
+        self, comm: Any, phase: str, cmd: str, cmd_type: Any, gcode: str | None,
+        subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
+    ) -> Any:  # fmt: skip
+        # Comments never come this far and texts may be rewritten: the position in the file is what a line is known by.
+        for tag in tags or ():
+            if tag.startswith("filepos:"):
+                return self._watch.holds.line_queuing(cmd, int(tag[8:]))
+        return None
+
+    def on_gcode_sent(
+        self, comm: Any, phase: str, cmd: str, cmd_type: Any, gcode: str | None,
+        subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
+    ) -> None:  # fmt: skip
+        self._watch.holds.line_sent(gcode, tags)
+
+    def on_gcode_received(self, comm: Any, line: str, *args: Any, **kwargs: Any) -> str:
+        self._watch.holds.line_received(line)
+        return line
+
+    def permissions(self, *args: Any, **kwargs: Any) -> list[dict[str, Any]]:
+        return [
+            {"key": "VIEW", "name": "View", "description": "See the checks, their pictures and the recordings.",
+             "roles": ["view"], "default_groups": [READONLY_GROUP, USER_GROUP]},
+            {"key": "CONTROL", "name": "Control", "description": "Watch or not, check now, delete recordings.",
+             "roles": ["control"], "default_groups": [USER_GROUP]},
+            {"key": "CALIBRATE", "name": "Calibrate", "description": "Set up printer geometry, camera and filament.",
+             "roles": ["calibrate"], "dangerous": True, "default_groups": [ADMIN_GROUP]},
+        ]  # fmt: skip
+
+    def custom_events(self, *args: Any, **kwargs: Any) -> list[str]:
+        return ["check", "suspect", "failed", "blind"]
+
+    def backup_excludes(self, excluded: Any, *args: Any, **kwargs: Any) -> list[str]:
+        return ["recordings", "cache"]
+
+    def update_information(self) -> dict[str, Any]:
+        user, repository = REPOSITORY
+        return {
+            self._identifier: {
+                "displayName": self._plugin_name, "displayVersion": self._plugin_version, "current": self._plugin_version,
+                "type": "github_release", "user": user, "repo": repository,
+                "pip": f"https://github.com/{user}/{repository}/archive/{{target_version}}.zip",
+            }
+        }  # fmt: skip
