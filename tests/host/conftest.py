@@ -1,0 +1,26 @@
+"""Rooms with a real OctoPrint in them, one for each test module. MOOP_OCTOPRINT names another server's interpreter."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+
+pytest.importorskip("octoprint")
+
+from .room import Room
+
+
+@pytest.fixture(scope="module")
+def shared_room(tmp_path_factory):
+    with Room(tmp_path_factory.mktemp("room"), os.environ.get("MOOP_OCTOPRINT", sys.executable)) as room:
+        room.set_up()
+        room.warm_up()
+        yield room
+
+
+@pytest.fixture
+def room(shared_room):
+    yield shared_room
+    shared_room.settle_down()

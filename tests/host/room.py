@@ -1,0 +1,262 @@
+"""A room with a printer in it: a real OctoPrint, its virtual printer, and a webcam that sees what was really sent.
+
+The webcam's truth is made by construction: the expected mask at the file position that has really been sent, painted
+in the filament's colour over a picture of a bed. That is enough to test the host; how well failures are *seen* is
+tested elsewhere.
+"""
+
+from __future__ import annotations
+
+import http.server
+import json
+import threading
+import time
+from pathlib import Path
+from typing import Any, Callable
+
+import cv2
+import numpy as np
+
+from octoprint_moop.core.camera import BedMotion, Camera
+from octoprint_moop.core.expected import ExpectedViews
+from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.header import Header, Printer
+from octoprint_moop.core.raster import CvRenderer
+from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.demo.server import DemoServer
+
+WIDTH, HEIGHT = 640, 480
+FILAMENT_BGR = (20, 120, 240)
+
+
+def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3) -> str:
+    """A box of solid layers, drawn in few long moves; relative extrusion, no comments that name layers."""
+    out = ["G21", "G90", "M83", "G28", "M104 S200"]
+    x0 = y0 = 100 - side_mm / 2
+    for layer in range(layers):
+        z = 0.3 * (layer + 1)
+        out.append(f"G1 X{x0:.3f} Y{y0:.3f} Z{z:.3f} F12000")
+        rows = int(side_mm / 0.8)
+        for row in range(rows):
+            y = y0 + row * 0.8
+            x_from, x_to = (x0, x0 + side_mm) if row % 2 == 0 else (x0 + side_mm, x0)
+            out.append(f"G1 X{x_from:.3f} Y{y:.3f} F12000")
+            for part in range(1, lines_per_side + 1):
+                x = x_from + (x_to - x_from) * part / lines_per_side
+                out.append(f"G1 X{x:.3f} Y{y:.3f} E{side_mm / lines_per_side * 0.8 * 0.3 / 2.405:.5f} F9000")
+    out += ["G1 Z60 F3000", "M104 S0", "G1 X0 Y190 F9000"]
+    return "\n".join(out) + "\n"
+
+
+def camera() -> Camera:
+    """Before the bed's front edge, 170 mm up, looking at the middle of the bed."""
+    eye, target = np.array([100.0, -130.0, 170.0]), np.array([100.0, 100.0, 5.0])
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    K = [[1100, 0, (WIDTH - 1) / 2], [0, 1100, (HEIGHT - 1) / 2], [0, 0, 1]]
+    return Camera((WIDTH, HEIGHT), K, np.zeros(5), cv2.Rodrigues(rotation)[0].ravel(), -rotation @ eye)
+
+
+def header() -> dict[str, Any]:
+    printer = Printer(200, 200, 200, bed=BedMotion("fixed"))
+    return Header(printer, ((None, camera()),), HsvThresholds(10, 45, 0.4, 0.3)).to_json()
+
+
+class PaintedWebcam:
+    """Serves snapshots over HTTP.
+
+    slides_at : file position from which on the print has come off the bed, and lies elsewhere
+    answer    : what is answered instead of a picture: 404, html, truncated, empty, same, huge, slow
+    before    : called before each answer
+    """
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(11)
+        coarse = rng.integers(70, 150, (HEIGHT // 12, WIDTH // 12, 1), dtype=np.uint8).repeat(3, axis=2)
+        self._bed = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+        self._rng = rng
+        self._views: ExpectedViews | None = None
+        self.file_pos: Callable[[], int] = lambda: 0
+        self.slides_at = 10**9
+        self.answer = "picture"
+        self.served = 0
+        self.before: Callable[[], None] = lambda: None
+        self._same = b""
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        self.url = f"http://127.0.0.1:{self._server.server_port}/?action=snapshot"
+
+    def look_at(self, gcode: Path) -> None:
+        self._views = ExpectedViews(read_gcode(gcode), camera(), BedMotion("fixed"), CvRenderer())
+
+    def reset(self) -> None:
+        self.slides_at, self.answer, self.before = 10**9, "picture", lambda: None
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+    def jpeg(self) -> bytes:
+        frame = self._bed.copy()
+        if self._views is not None:
+            file_pos = self.file_pos()
+            mask = self._views.at(file_pos, (0.0, 0.0, 0.0)).mask
+            if file_pos > self.slides_at:
+                mask = np.roll(mask, (10, 40), (0, 1))
+            frame[mask > 0] = FILAMENT_BGR
+        noisy = np.clip(frame + self._rng.normal(0, 3, frame.shape), 0, 255).astype(np.uint8)
+        return cv2.imencode(".jpg", noisy, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+
+    def _handler(self) -> type[http.server.BaseHTTPRequestHandler]:
+        webcam = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                webcam.served += 1
+                webcam.before()
+                answer = webcam.answer
+                if answer == "404":
+                    self.send_error(404)
+                    return
+                deadline = time.monotonic() + 20
+                while webcam.answer == "slow" and time.monotonic() < deadline:
+                    time.sleep(0.05)
+                body = {
+                    "html": lambda: b"<html><body>Log in first</body></html>",
+                    "truncated": lambda: webcam.jpeg()[:9000],
+                    "empty": lambda: b"",
+                    "same": lambda: webcam._same,
+                    "huge": lambda: cv2.imencode(".jpg", np.full((5500, 7300, 3), 120, np.uint8))[1].tobytes(),
+                }.get(answer, webcam.jpeg)()
+                webcam._same = webcam._same or body
+                try:
+                    self.send_response(200)
+                    self.send_header("Content-Type", "image/jpeg")
+                    self.send_header("Content-Length", str(len(body)))
+                    self.end_headers()
+                    self.wfile.write(body)
+                except OSError:
+                    pass
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        return Handler
+
+
+class Room:
+    """The server, its webcam, and what tests ask of them."""
+
+    def __init__(self, folder: Path, python: str, settings: dict[str, Any] | None = None) -> None:
+        self.folder = folder
+        self.webcam = PaintedWebcam()
+        moop = {"settle_s": 0.0, "settle_timeout_s": 5.0, "check_timeout_s": 4.0, "_config_version": 1, **(settings or {})}
+        self.server = DemoServer(
+            folder / "server", octoprint_python=python, snapshot_url=self.webcam.url,
+            plugins={"spy": Path(__file__).with_name("spy.py")},
+            settings={"plugins": {"moop": moop, "classicwebcam": {"snapshotTimeout": 3}}},
+        )  # fmt: skip
+        self.webcam.file_pos = self.sent_pos
+        self._sent_from = self._prints = 0
+
+    def __enter__(self) -> Room:
+        self.server.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.stop()
+        self.webcam.close()
+
+    # --- doing ----------------------------------------------------------------------------------------------------
+
+    def set_up(self) -> Any:
+        return self.moop("POST", "setup", json=header())
+
+    def warm_up(self) -> None:
+        """The eye takes its time to start; a box of few lines would be printed before it has."""
+        path = self.folder / "warm.gcode"
+        path.write_text(box_gcode(layers=1))
+        self.server.upload(path, print=False)
+        self.wait("the eye is up", lambda: self.status["renderer"])
+
+    def print(self, text: str, name: str = "") -> Path:
+        """Begin to print, and wait until that is noticed; what was sent before is forgotten."""
+        self._prints += 1
+        path = self.folder / (name or f"box_{self._prints}.gcode")
+        path.write_text(text)
+        self.webcam.look_at(path)
+        self._sent_from = len(self._sent_lines())
+        name = self.server.upload(path)["files"]["local"]["name"]
+        self.wait("the print is noticed", lambda: self.status["job"] == name)
+        return path
+
+    def command(self, **command: Any) -> None:
+        self.server.api("POST", "/api/job", json=command)
+
+    def moop(self, method: str, path: str, **options: Any) -> Any:
+        return self.server.api(method, f"/plugin/moop/{path}", **options)
+
+    def save(self, **settings: Any) -> Any:
+        return self.server.api("POST", "/api/settings", json={"plugins": {"moop": settings}})["plugins"]["moop"]
+
+    def settle_down(self) -> None:
+        """Ready for the next test: no job, no faults, no file."""
+        self.webcam.reset()
+        deadline = time.monotonic() + 40
+        while self.server.job_state() != "Operational" and time.monotonic() < deadline:
+            self.server.request("POST", "/api/job", json={"command": "cancel"})
+            time.sleep(0.5)
+        self.server.wait_state({"Operational"}, 1)
+
+    # --- seeing ---------------------------------------------------------------------------------------------------
+
+    @property
+    def status(self) -> dict[str, Any]:
+        return self.moop("GET", "status")
+
+    @property
+    def checks(self) -> list[dict[str, Any]]:
+        return self.moop("GET", "checks")["checks"]
+
+    def wait(self, what: str, condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
+        """The condition's first true value. Fails with what was waited for, the status and the log's end."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            found = condition()
+            if found:
+                return found
+            time.sleep(0.05)
+        raise AssertionError(f"{what}: not within {timeout_s:g} s; {self.status}\n{self.server.log_tail(30)}")
+
+    def wait_checks(self, count: int, timeout_s: float = 30.0) -> list[dict[str, Any]]:
+        return self.wait(f"{count} checks", lambda: len(self.checks) >= count and self.checks, timeout_s)
+
+    def wait_done(self, timeout_s: float = 60.0) -> None:
+        """The job has ended by itself."""
+        self.server.wait_state({"Operational"}, timeout_s)
+        assert self.server.api("GET", "/api/job")["progress"]["completion"] == 100
+
+    def sent(self) -> list[tuple[str, set[str]]]:
+        """(command, tags) of everything sent since the last `print`."""
+        return [(command, set(tags)) for command, tags in map(json.loads, self._sent_lines()[self._sent_from :])]
+
+    def sent_of_file(self) -> list[str]:
+        return [command for command, tags in self.sent() if "source:file" in tags and not _ours(tags)]
+
+    def sent_pos(self) -> int:
+        """File position of the last line of the file that was sent."""
+        for line in reversed(self._sent_lines()[self._sent_from :]):
+            for tag in json.loads(line)[1]:
+                if tag.startswith("filepos:"):
+                    return int(tag[8:])
+        return 0
+
+    def _sent_lines(self) -> list[str]:
+        path = self.server.basedir / "data" / "spy" / "sent.jsonl"
+        return path.read_text().splitlines() if path.exists() else []
+
+
+def _ours(tags: set[str]) -> bool:
+    return any(tag.startswith("moop:") for tag in tags)

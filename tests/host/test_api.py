@@ -1,0 +1,123 @@
+"""The routes: permissions, set-up, settings, recordings."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+
+import pytest
+import requests
+
+from octoprint_moop.machine.recording import Recording
+
+from .room import box_gcode, header
+
+ROUTES = [
+    ("GET", "status"), ("GET", "checks"), ("GET", "checks/0/frame.jpg"), ("GET", "frame"), ("GET", "setup"),
+    ("GET", "recordings"), ("GET", "recordings/x.zip"), ("DELETE", "recordings/x"), ("POST", "setup"), ("POST", "check"),
+    ("POST", "watch"), ("POST", "pardon"), ("POST", "segment/preview"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("method", "route"), ROUTES)
+def test_nobody_gets_in_without_a_permission(room, method, route):
+    answer = requests.request(method, f"{room.server.url}/plugin/moop/{route}", json={}, timeout=10)
+    assert answer.status_code in (400, 403), answer.text  # 400: no CSRF token either
+    if method == "GET":
+        assert answer.status_code == 403
+
+
+def test_a_set_up_can_be_carried_from_one_machine_to_another(room):
+    given = header()
+    room.moop("POST", "setup", json=given)
+    found = room.moop("GET", "setup")
+    for part in ("format", "version", "printer", "camera", "material"):
+        assert found[part] == given[part], part
+    assert room.moop("POST", "setup", json=found)["changed"] == []
+
+
+def test_a_set_up_that_makes_no_sense_is_refused_with_a_sentence(room):
+    answer = room.server.request("POST", "/plugin/moop/setup", json={**header(), "camera": {"K": [[1]]}})
+    assert answer.status_code == 400
+    assert answer.json()["code"] == "camera" and "image_size_px" in answer.json()["message"]
+    assert room.moop("GET", "setup")["camera"] == header()["camera"]
+
+
+def test_settings_are_kept_and_a_senseless_one_is_not(room):
+    saved = room.save(every_layers="2", sensitivity="high")
+    assert (saved["every_layers"], saved["sensitivity"]) == (2, "high")
+    saved = room.save(every_layers=-3, settle_s=0.25)
+    assert (saved["every_layers"], saved["settle_s"]) == (2, 0.25)
+    room.save(every_layers=1, sensitivity="medium", settle_s=0.0)
+
+
+def test_every_second_layer_only_is_checked_where_that_is_set(room):
+    room.save(every_layers=2)
+    try:
+        room.print(box_gcode(layers=6))
+        room.wait_done()
+        assert [check["layer"] for check in room.checks] == [1, 3, 5]
+    finally:
+        room.save(every_layers=1)
+
+
+def test_a_preview_is_a_mask_and_nonsense_a_sentence(room):
+    answer = room.server.request("POST", "/plugin/moop/segment/preview", json=header()["material"])
+    assert answer.status_code == 200 and answer.content.startswith(b"\x89PNG")
+    answer = room.server.request("POST", "/plugin/moop/segment/preview", json={"hue_deg": [1, 999]})
+    assert answer.status_code == 400 and "message" in answer.json()
+
+
+def test_a_print_that_is_not_wanted_watched_is_left_alone_and_says_so(room):
+    room.print(box_gcode(layers=8))
+    room.wait_checks(1)
+    room.moop("POST", "watch", json={"watching": False})
+    status = room.wait("off", lambda: room.status["blind"] and room.status)
+    assert "switched off" in status["blind"] and not status["watching"]
+    before = len(room.checks)
+    room.moop("POST", "watch", json={"watching": True})
+    room.wait_checks(before + 1)
+    room.wait_done()
+
+
+def test_a_check_can_be_asked_for_between_two_layers(room):
+    room.save(every_layers=100)
+    try:
+        room.print(box_gcode(layers=4))
+        room.wait("watching", lambda: room.status["watching"])
+        room.moop("POST", "check", json={})
+        (check, *_) = room.wait_checks(1)
+        assert check["verdict"] == "ok"
+        room.wait_done()
+    finally:
+        room.save(every_layers=1)
+    answer = room.server.request("POST", "/plugin/moop/check", json={})
+    assert answer.status_code == 409
+
+
+def test_each_watched_print_leaves_a_recording_that_can_be_replayed_and_fetched(room, tmp_path):
+    path = room.print(box_gcode(layers=3), "a b; rm -rf ~.gcode")
+    room.wait_done()
+    room.wait("ended", lambda: room.moop("GET", "recordings")["recordings"][0].get("ended") == "done")
+    kept = room.moop("GET", "recordings")["recordings"][0]
+    assert kept["checks"] == 3 and kept["verdict"] == "ok"
+    answer = room.server.request("GET", f"/plugin/moop/recordings/{kept['name']}.zip")
+    zipfile.ZipFile(io.BytesIO(answer.content)).extractall(tmp_path)
+    recording = Recording.open(tmp_path / kept["name"])
+    assert [moment.layer for moment in recording.moments] == [0, 1, 2]
+    assert recording.frame(recording.moments[0]).shape == (480, 640, 3)
+    with recording.job_path() as job:
+        assert job.read_bytes() == path.read_bytes()
+    live = [json.loads(line) for line in (tmp_path / kept["name"] / "checks.jsonl").read_text().splitlines()]
+    assert [check["E"] for check in live] == [check["E"] for check in room.checks]
+    without = room.server.request("GET", f"/plugin/moop/recordings/{kept['name']}.zip?pictures=0")
+    assert not [name for name in zipfile.ZipFile(io.BytesIO(without.content)).namelist() if name.endswith(".jpg")]
+    room.moop("DELETE", f"recordings/{kept['name']}")
+    assert kept["name"] not in [r["name"] for r in room.moop("GET", "recordings")["recordings"]]
+
+
+@pytest.mark.parametrize("name", ["..", "../data", ".hidden", "%2e%2e", "x/y"])
+def test_no_name_leads_out_of_the_recordings(room, name):
+    assert room.server.request("DELETE", f"/plugin/moop/recordings/{name}").status_code in (400, 404, 405)
+    assert room.status
