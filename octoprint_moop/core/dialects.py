@@ -8,6 +8,7 @@ KISSlicer, IceSL, Kiri:Moto and MatterSlice.
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import NamedTuple, Union
 
 from .toolpath import Role
@@ -46,10 +47,10 @@ class Slicer(NamedTuple):
 
 
 class Declared(NamedTuple):
-    """A setting with which the file was sliced, see DECLARATIONS."""
+    """A setting with which the file was sliced, see DECLARATIONS; or the filament that it needs, in mm."""
 
     setting: str
-    value: float
+    values: tuple[float, ...]
 
 
 Meaning = Union[Layer, Feature, Width, Height, Label, Slicer, Declared]
@@ -110,6 +111,13 @@ _SLICER = re.compile(
 _SLICER_HINT = re.compile(r"generated|sliced|KISSlicer|BambuStudio|IceSL", re.IGNORECASE)
 
 _DECLARED = re.compile(r"\s*([A-Za-z][\w #]*?)\s*[=:,]\s*" + _NUMBER)
+# "filament used [mm] = 12.3, 4.5", "Filament used: 1.2m", "filament used = 12.3mm (0.1cm3)",
+# "Filament length: 12.3 mm", "Material#1 Used: 12.3", "Ext #1  =   12.3 mm", "--- filament used: 12.3 mm"
+_FILAMENT = re.compile(
+    r"[-\s]*(?:(?:total )?filament (?:used|length)(?: \[mm\])?|Material#1 Used|\s*Ext #1)\s*[:=]\s*"
+    r"((?:[\d.]+(?:mm)?,\s*)*[\d.]+)\s*(mm?\b)?(?!\d*\s*cm)",
+    re.IGNORECASE,
+)
 DECLARATIONS = {  # words of the settings that slicers append: what they mean here
     "filament_diameter": "filament_mm", "filamentdiameters": "filament_mm", "filament_diameter_mm_0": "filament_mm",
     "filament diameter #1": "filament_mm", "filamentdiameter": "filament_mm", "fiber_dia_mm": "filament_mm",
@@ -119,9 +127,13 @@ DECLARATIONS = {  # words of the settings that slicers append: what they mean he
 }  # fmt: skip
 
 
+@lru_cache(maxsize=4096)
 def meaning(comment: str) -> tuple[Meaning, ...]:
     """What a comment (the text after the semicolon) says; empty where it says nothing that matters."""
-    text = comment[:200]
+    text = comment[:200].rstrip()
+    if text.startswith("WIDTH:"):
+        found = _WIDTH.match(text)
+        return (Width(float(found.group(1))),) if found else ()
     if _LAYER_HINT.search(text):
         for dialect, pattern in _LAYERS:
             if pattern.match(text):
@@ -164,11 +176,16 @@ def _label(text: str) -> tuple[Meaning, ...]:
 
 
 def _about_the_file(text: str) -> tuple[Meaning, ...]:
+    found = _FILAMENT.match(text)
+    if found:
+        scale = {"m": 1000.0, "": 1.0, "mm": 1.0}.get(found.group(2) or "")
+        if scale is not None:
+            return (Declared("filament_used_mm", tuple(scale * float(n) for n in re.findall(_NUMBER, found.group(1)))),)
     found = _DECLARED.match(text)
     if found:
         setting = DECLARATIONS.get(found.group(1).lower())
         if setting:
-            return (Declared(setting, float(found.group(2))),)
+            return (Declared(setting, (float(found.group(2)),)),)
     if _SLICER_HINT.search(text):
         found = _SLICER.match(text)
         if found:

@@ -1,49 +1,55 @@
-"""G-code to Toolpath."""
+"""G-code to Toolpath: the road from bytes to beads.
+
+    bytes ── rows (numpy) ── walk (numpy) ──┬── layers, widths, objects ── Toolpath
+           └─ any other line ── interpreter ┘
+
+Nearly all lines of a sliced file are plain moves; a run of them is executed at once. Everything else, and short runs
+between two changes of mode, go through the interpreter line by line, which is the reference for what they mean.
+"""
 
 from __future__ import annotations
 
 import gzip
 import io
-import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO, Callable, cast
+from typing import BinaryIO, Callable, Union, cast
 
 import numpy as np
 
+from .cache import Cache
 from .errors import GcodeError
-from .interpreter import NOT_SAID, Interpreter
-from .layers import (
-    HIGHEST_NOZZLES,
-    LOWEST_MM,
-    find_objects,
-    held,
-    layer_heights,
-    layer_starts,
-    layer_steps,
-    said_or_first,
-    widths_and_heights,
-)
+from .finish import assemble
+from .interpreter import Interpreter
+from .rows import OTHER, Lines, split
+from .store import Column
 from .toolpath import Toolpath
+from .walk import Walk
 
 CHUNK_BYTES = 1 << 20
 HEAD_BYTES = 1 << 18
+LONGEST_LINE_BYTES = 1 << 20
+SHORT_RUN = 24  # rows; for fewer the interpreter is quicker than numpy
 LEAST_E_VALUES = 8  # fewer extruding moves do not tell absolute from relative E
-PARK_MM = 20.0  # a head this far beyond a layer does not stand before it
-_E_MODE = re.compile(
-    rb"^[ \t]*(?:(M0*8[23]\b|G0*92\b)|G0*[123][ \t][^;\r\n]*?[XY][^;\r\n]*?E[ \t]*(\d+\.?\d*|\.\d+))",
-    re.MULTILINE | re.IGNORECASE,
-)
 BOM = b"\xef\xbb\xbf"
 
+_E_MODE = re.compile(
+    rb"^[ \t]*(?:(M0*8[23]\b|G0*92\b)"
+    rb"|G0*[123][ \t][^;\r\n]*?[XY][^;\r\n]*?E[ \t]*(\d+\.?\d*|\.\d+))",
+    re.MULTILINE | re.IGNORECASE,
+)
+# Lines that cannot change how moves are read: comments, object labels, macros, and M codes other than these.
+_STATELESS = re.compile(rb"[;@]|[A-FH-LO-SU-Z]|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d")
+
 Progress = Callable[[float], None]
+PathLike = Union[str, Path]
 
 
 def read_gcode(
-    path: str | Path,
+    path: PathLike,
     *,
-    cache_dir: str | Path | None = None,
+    cache_dir: PathLike | None = None,
     nozzle_mm: float = 0.4,
     filament_mm: float = 1.75,
     progress: Progress | None = None,
@@ -51,6 +57,7 @@ def read_gcode(
     """What a G-code file lays down.
 
     path        : plain or gzipped; positions count in the unpacked file
+    cache_dir   : what was read is kept there, under the hash of the content, and the arrays are mapped from it
     nozzle_mm   : bounds the widths that the extruded volume tells
     filament_mm : diameter, where the file itself does not tell it
     progress    : called with the ratio done, 0 to 1
@@ -59,48 +66,38 @@ def read_gcode(
     """
     path = Path(path)
     try:
-        size = path.stat().st_size
-        with open(path, "rb") as raw:
-            packed = raw.read(2) == b"\x1f\x8b"
-        with gzip.open(path, "rb") if packed else open(path, "rb") as file:
-            return read_stream(cast(BinaryIO, file), path.name, nozzle_mm, filament_mm, size, progress)
+        with _opened(path) as file:
+            if cache_dir is None:
+                return read_stream(file, path.name, nozzle_mm, filament_mm, path.stat().st_size, progress)
+            cache = Cache(Path(cache_dir), file, (nozzle_mm, filament_mm))
+            found = cache.load()
+            if found is not None:
+                return found
+            with cache.building() as folder:
+                toolpath = read_stream(file, path.name, nozzle_mm, filament_mm, path.stat().st_size, progress, folder)
+                cache.keep(folder, toolpath)
+            return cache.load() or toolpath
     except FileNotFoundError:
         raise GcodeError(f"There is no file {path}. Check the name.") from None
-    except (OSError, EOFError) as error:
-        raise GcodeError(f"{path} cannot be read ({error}). Upload it again.") from None
+    except IsADirectoryError:
+        raise GcodeError(f"{path} is a folder. Name the G-code file in it.") from None
+    except (gzip.BadGzipFile, EOFError) as error:
+        raise GcodeError(f"{path} cannot be unpacked ({error}). Upload it again.") from None
+    except OSError as error:
+        raise GcodeError(f"{path} cannot be read ({error.strerror or error}). Upload it again.") from None
 
 
-def read_gcode_bytes(data: bytes, name: str = "the G-code", **settings: float) -> Toolpath:
+def read_gcode_bytes(
+    data: bytes, name: str = "the G-code", *, nozzle_mm: float = 0.4, filament_mm: float = 1.75
+) -> Toolpath:
     """The same for G-code in memory. Raises GcodeError."""
-    return read_stream(io.BytesIO(data), name, settings.get("nozzle_mm", 0.4), settings.get("filament_mm", 1.75))
+    return read_stream(io.BytesIO(data), name, nozzle_mm, filament_mm)
 
 
-def lines_with_ends(file: BinaryIO) -> Iterator[tuple[str, int]]:
-    """Each line, and its end as OctoPrint counts: in a lossy UTF-8 decoding, encoded again.
-
-    A carriage return alone ends a line, too.
-    """
-    position, rest, first = 0, b"", True
-    while True:
-        data = file.read(CHUNK_BYTES)
-        if first and data.startswith(BOM):
-            data, position = data[3:], 3
-        first = False
-        block = rest + data
-        lines = block.splitlines(keepends=True) if data else ([block] if block else [])
-        rest = b""
-        if data and lines and not lines[-1].endswith(b"\n"):
-            rest = lines.pop()
-        for raw in lines:
-            try:
-                line = raw.decode("utf-8")
-                position += len(raw)
-            except UnicodeDecodeError:
-                line = raw.decode("utf-8", "replace")
-                position += len(line.encode("utf-8"))
-            yield line, position
-        if not data:
-            return
+def _opened(path: Path) -> BinaryIO:
+    with open(path, "rb") as raw:
+        packed = raw.read(2) == b"\x1f\x8b"
+    return cast(BinaryIO, gzip.open(path, "rb") if packed else open(path, "rb"))
 
 
 def read_stream(
@@ -110,18 +107,158 @@ def read_stream(
     filament_mm: float = 1.75,
     size: int = 0,
     progress: Progress | None = None,
+    folder: Path | None = None,
 ) -> Toolpath:
-    """The Toolpath of an open binary file that can seek. `size` is its length, for the progress. Raises GcodeError."""
+    """The Toolpath of an open binary file that can seek; its columns are files in `folder`, if given.
+
+    size : of the file, for the progress. Raises GcodeError.
+    """
+    file.seek(0)
     head = file.read(HEAD_BYTES)
     refuse_what_is_no_gcode(head, name)
     file.seek(0)
-    machine = Interpreter(relative_e=looks_relative(head))
-    position = 0
-    for number, (line, position) in enumerate(lines_with_ends(file)):
-        machine.run(line, position)
-        if progress is not None and size and number % 10000 == 0:
-            progress(min(position / size, 1.0))
-    return assemble(machine, name, position, nozzle_mm, filament_mm)
+    reader = _Reader(Interpreter(looks_relative(head)), len(BOM) if head.startswith(BOM) else 0, folder)
+    for chunk, length in chunks(file, name):
+        reader.read(chunk, length)
+        if progress is not None and size:
+            progress(min(reader.position / size, 1.0))
+    if not reader.beads:
+        raise GcodeError(f"{name} extrudes nothing, so there is nothing to compare with. Is it a printable file?")
+    return assemble(reader.machine, reader.beads, reader.end_pos, reader.position, nozzle_mm, filament_mm, folder)
+
+
+def chunks(file: BinaryIO, name: str) -> Iterator[tuple[bytes, int]]:
+    """The file without its byte order mark, in pieces that end with a line: bytes, and how many of them it has.
+
+    The last piece has a newline more where the file lacks it. Raises GcodeError where a line is too long to be one.
+    """
+    if file.read(len(BOM)) != BOM:
+        file.seek(0)
+    rest = b""
+    while True:
+        data = file.read(CHUNK_BYTES)
+        if not data:
+            break
+        block = rest + data
+        cut = block.rfind(b"\n") + 1 or block.rfind(b"\r", 0, len(block) - 1) + 1
+        rest = block[cut:]
+        if len(rest) > LONGEST_LINE_BYTES:
+            raise GcodeError(f"{name} has a line of more than {LONGEST_LINE_BYTES} bytes, so it is no G-code.")
+        if cut:
+            yield block[:cut], cut
+    if rest:
+        yield rest + b"\n", len(rest)
+
+
+class _Reader:
+    """Reads chunk after chunk. `position` is the file position reached, `beads` and `end_pos` grow."""
+
+    def __init__(self, machine: Interpreter, position: int, folder: Path | None) -> None:
+        self.machine, self.position = machine, position
+        self.beads = Column("<f4", 8, folder and folder / "beads_mm.npy")
+        self.end_pos = Column("<i8", 1, folder and folder / "end_pos.npy")
+
+    def read(self, chunk: bytes, length: int) -> None:
+        if chunk.count(b"\r") != chunk.count(b"\r\n"):
+            self._read_by_line(chunk, length)
+        else:
+            self._read_by_rows(chunk, length)
+        self._keep_interpreted()
+
+    def _read_by_line(self, chunk: bytes, length: int) -> None:
+        """Lines may end in a carriage return alone."""
+        end = 0
+        for raw in chunk.splitlines(keepends=True):
+            end += len(raw)
+            self.position += len(raw) + _lengthened(raw) - max(0, end - length)
+            self.machine.run(raw.decode("utf-8", "replace"), self.position)
+
+    def _read_by_rows(self, chunk: bytes, length: int) -> None:
+        lines = split(chunk)
+        ends = self.position + np.minimum(lines.end + 1, length)
+        if not chunk.isascii():
+            ends += _drift(chunk, lines)
+        self.position = int(ends[-1])
+        run = _Chunk(chunk, lines, ends)
+        begin, waiting = 0, []
+        for i in np.flatnonzero((lines.kind == OTHER) & (lines.end > lines.start)).tolist():
+            raw = run.raw(i)
+            if _STATELESS.match(raw) and (self.machine.said.layers or b"layer" not in raw.lower()):
+                waiting.append(i)
+                continue
+            self._run(run, begin, i, waiting)
+            self.machine.run(run.text(i), run.end(i))
+            begin, waiting = i + 1, []
+        self._run(run, begin, len(ends), waiting)
+
+    def _run(self, run: _Chunk, begin: int, end: int, waiting: list[int]) -> None:
+        """Execute lines [begin, end), of which those `waiting` are no rows but change no mode either."""
+        machine, first, last = self.machine, *run.rows(begin, end)
+        if last == first:
+            run.interpret(machine, waiting)
+            return
+        walk = None
+        if last - first >= SHORT_RUN:
+            walk = Walk(machine, run.lines, run.row_kind, first, last)
+        if walk is None or not walk.sane:
+            run.interpret(machine, range(begin, end))
+            return
+        self._keep_interpreted()
+        laid, tail_open, stops = machine.laid, machine.tail_open, []
+        for i in waiting:
+            row = int(run.lines.rows_before[i]) - first
+            machine.laid = laid + int(walk.beads_upto[row])
+            machine.tail_open = True
+            machine.run(run.text(i), run.end(i))
+            if not machine.tail_open:
+                stops.append(row)
+        machine.laid, machine.tail_open = laid, tail_open
+        self.end_pos.append(walk.apply(run.row_ends[first:last], np.array(stops, np.int64)))
+        self.beads.append(walk.path)
+
+    def _keep_interpreted(self) -> None:
+        path, end_pos = self.machine.take()
+        self.beads.append(path)
+        self.end_pos.append(end_pos)
+
+
+class _Chunk:
+    """A chunk's lines with their file positions."""
+
+    def __init__(self, chunk: bytes, lines: Lines, ends: np.ndarray) -> None:
+        self._chunk, self.lines, self._ends = chunk, lines, ends
+        row = lines.kind != OTHER
+        self.row_kind, self.row_ends = lines.kind[row], ends[row]
+
+    def raw(self, line: int) -> bytes:
+        return self._chunk[self.lines.start[line] : self.lines.end[line]]
+
+    def text(self, line: int) -> str:
+        return self.raw(line).decode("utf-8", "replace")
+
+    def end(self, line: int) -> int:
+        return int(self._ends[line])
+
+    def rows(self, begin: int, end: int) -> tuple[int, int]:
+        return int(self.lines.rows_before[begin]), int(self.lines.rows_before[end])
+
+    def interpret(self, machine: Interpreter, lines: Iterable[int]) -> None:
+        for i in lines:
+            machine.run(self.text(i), self.end(i))
+
+
+def _lengthened(raw: bytes) -> int:
+    """How many bytes longer a line is when OctoPrint has read it: what is no UTF-8 becomes U+FFFD, three bytes."""
+    return len(raw.decode("utf-8", "replace").encode("utf-8")) - len(raw)
+
+
+def _drift(chunk: bytes, lines: Lines) -> np.ndarray:
+    """(n,) int64: by how much each line's end has moved, see `_lengthened`."""
+    drift = np.zeros(len(lines.end), np.int64)
+    strange = np.flatnonzero(np.frombuffer(chunk, np.uint8) > 127)
+    for i in np.unique(np.searchsorted(lines.end, strange)).tolist():
+        drift[i] = _lengthened(chunk[lines.start[i] : lines.end[i]])
+    return np.cumsum(drift)
 
 
 def refuse_what_is_no_gcode(head: bytes, name: str) -> None:
@@ -132,7 +269,7 @@ def refuse_what_is_no_gcode(head: bytes, name: str) -> None:
         raise GcodeError(
             f"{name} is binary G-code. Switch binary G-code off in the slicer's printer settings and export again."
         )
-    if head.startswith(b"PK"):
+    if head.startswith(b"PK\x03\x04"):
         raise GcodeError(f"{name} is a zip archive (a project?). Export plain G-code from the slicer.")
     if b"\0" in head:
         raise GcodeError(f"{name} is not a text file, so it is no G-code. Choose the file that the slicer exported.")
@@ -147,7 +284,7 @@ def looks_relative(head: bytes) -> bool:
     smaller = total = 0
     for command, value in _E_MODE.findall(head):
         if command:
-            if total < LEAST_E_VALUES and command.upper() != b"G92":
+            if total < LEAST_E_VALUES and not command.upper().startswith(b"G"):
                 return False
             previous = None
             continue
@@ -158,99 +295,3 @@ def looks_relative(head: bytes) -> bool:
             total, smaller = total + 1, smaller + (e < previous)
         previous = e
     return total >= LEAST_E_VALUES and smaller > 0.2 * total
-
-
-def assemble(machine: Interpreter, name: str, size: int, nozzle_mm: float, filament_mm: float) -> Toolpath:
-    """Layers, widths and objects of what the machine laid. Raises GcodeError where that is nothing."""
-    said, count = machine.said, len(machine.beads)
-    if not count:
-        raise GcodeError(f"{name} extrudes nothing, so there is nothing to compare with. Is it a printable file?")
-    columns = np.frombuffer(machine.beads.path, dtype=np.float32).reshape(-1, 7)
-    path, fed = columns[:, :6], columns[:, 6]
-    end_pos = np.frombuffer(machine.beads.end_pos, dtype=np.int64)
-
-    starts = layer_starts(path, said)
-    heights = layer_heights(path, starts)
-    steps = layer_steps(heights, said.declared.get("layer_height_mm"), nozzle_mm)
-    layer = np.repeat(np.arange(len(heights)), np.diff(starts))
-
-    diameter = machine.filament_mm or said.declared.get("filament_mm") or filament_mm
-    always_volumetric = said.declared.get("volumetric_e") == 1.0 and not machine.filament_mm
-    filament_mm2 = math.pi / 4.0 * diameter**2
-    length = np.sqrt(((path[:, 3:] - path[:, :3]) ** 2).sum(axis=1))
-    area = fed * (1.0 if always_volumetric else filament_mm2) / np.maximum(length, 1e-4)
-    step = np.where(layer == 0, np.clip(path[:, 5], LOWEST_MM, HIGHEST_NOZZLES * nozzle_mm), steps[layer])
-    width, height = widths_and_heights(
-        path, area, held(said.width, count, NOT_SAID), held(said.height, count, NOT_SAID), step, nozzle_mm
-    )
-    marks = [marks[0] for marks in said.layers.values()]
-    objects = find_objects(said, count)
-    filament = sum(machine.most_fed.values())
-    return Toolpath(
-        beads_mm=np.column_stack([path, width, height]),
-        end_pos=end_pos,
-        layer_start=starts,
-        layer_end_pos=layer_parks(path, starts, layer_ends(end_pos, starts, machine.tails), machine.travels),
-        layer_z_mm=heights,
-        role=said_or_first(held(said.role, count, NOT_SAID), said, min(marks, default=0)),
-        object_id=objects.object_id,
-        objects=objects.names,
-        cancelled=objects.cancelled,
-        cancel_commands=objects.cancel_commands,
-        slicer=said.slicer,
-        filament_mm=filament / filament_mm2 if always_volumetric else filament,
-        bytes=size,
-        notes=notes(machine),
-    )
-
-
-def layer_ends(end_pos: np.ndarray, starts: np.ndarray, tails: tuple) -> np.ndarray:
-    """(L,) int64: end of each layer's last bead, or of the retraction that directly follows it."""
-    last = starts[1:] - 1
-    ends = end_pos[last].copy()
-    if len(tails[0]):
-        beads, positions = (np.frombuffer(tail, dtype=np.int64) for tail in tails)
-        found = np.minimum(np.searchsorted(beads, last), len(beads) - 1)
-        hit = beads[found] == last
-        ends[hit] = positions[found[hit]]
-    return ends
-
-
-def layer_parks(path: np.ndarray, starts: np.ndarray, ends: np.ndarray, travels: tuple) -> np.ndarray:
-    """(L,) int64: `ends`, moved on to where the file itself parks the head before the next layer.
-
-    A park is a travel from one layer to the next that goes PARK_MM or more beyond both, in X or in Y: a slicer's
-    layer change G-code, put there so that a camera sees the print. Of several the farthest counts.
-    """
-    bead, end_pos, x, y = (np.frombuffer(column, dtype=column.typecode) for column in travels)
-    found = ends.copy()
-    if not len(bead):
-        return found
-    corners = path[:, [0, 1, 3, 4]].reshape(-1, 4)
-    low = np.minimum.reduceat(np.minimum(corners[:, :2], corners[:, 2:]), starts[:-1])
-    high = np.maximum.reduceat(np.maximum(corners[:, :2], corners[:, 2:]), starts[:-1])
-    place = np.column_stack([x, y])
-    for layer in range(len(ends)):
-        first, after = np.searchsorted(bead, [starts[layer + 1] - 1, starts[layer + 1]])
-        if first == after:
-            continue
-        both = slice(layer, layer + 2)
-        beyond = np.maximum(low[both].min(axis=0) - place[first:after], place[first:after] - high[both].max(axis=0))
-        farthest = int(beyond.max(axis=1).argmax())
-        if beyond[farthest].max() >= PARK_MM:
-            found[layer] = max(found[layer], end_pos[first + farthest])
-    return found
-
-
-def notes(machine: Interpreter) -> tuple[str, ...]:
-    """Sentences for the user about what was not understood."""
-    said = []
-    if machine.skipped:
-        said.append(f"{machine.skipped} moves make no sense (damaged numbers, or an arc without a centre).")
-    if machine.unknown:
-        words = ", ".join(word for word, _ in machine.unknown.most_common(5))
-        said.append(
-            f"{sum(machine.unknown.values())} commands are not known here ({words}): "
-            "whatever they move or extrude is missing from the expected picture."
-        )
-    return tuple(said)

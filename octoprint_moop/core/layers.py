@@ -3,99 +3,138 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from array import array
 
 import numpy as np
 
-from .dialects import LABEL_SYSTEMS
-from .interpreter import Changes, Labels, Said
-from .toolpath import NO_OBJECT, Role
+from .interpreter import FAR_MM, Travels
+from .said import Changes, Said
+from .store import Column
 
+CHUNK_ROWS = 1 << 20
 SAME_HEIGHT_MM = 0.02  # heights nearer than this are one print height
 STEEPEST_SPIRAL = 0.5  # rise over run: a bead that climbs more steeply moves to another height, it is no vase
 WIDEST_NOZZLES, NARROWEST_NOZZLES = 3.0, 0.5  # a bead's width, in nozzles
 HIGHEST_NOZZLES, LOWEST_MM = 1.25, 0.04  # a bead's height
 
 
-def held(changes: Changes, count: int, unsaid: float) -> np.ndarray:
-    """(count,) float32: the value that holds for each bead, `unsaid` before the first change."""
-    at = np.frombuffer(changes.bead, dtype=np.int64) if changes.bead else np.zeros(0, np.int64)
-    values = np.frombuffer(changes.value, dtype=np.float64) if changes.value else np.zeros(0)
-    lengths = np.diff(np.concatenate([[0], np.minimum(at, count), [count]]))
-    return np.repeat(np.concatenate([[unsaid], values]).astype(np.float32), lengths)
+class Held:
+    """Which value holds for each bead. `values[i]` holds from bead `starts[i]` on."""
+
+    def __init__(self, changes: Changes, unsaid: float) -> None:
+        self.starts = np.concatenate([[0], np.array(changes.bead, np.int64)])
+        self.values = np.concatenate([[unsaid], np.array(changes.value)]).astype(np.float32)
+
+    def lengths(self, count: int) -> np.ndarray:
+        """For how many of `count` beads each value holds."""
+        return np.diff(np.minimum(np.append(self.starts, count), count))
+
+    def at(self, bead: int) -> float:
+        return float(self.values[np.searchsorted(self.starts, bead, side="right") - 1])
+
+    def of(self, first: int, last: int) -> np.ndarray:
+        """(last - first,) float32, the values of beads [first, last)."""
+        return self.values[np.searchsorted(self.starts, np.arange(first, last), side="right") - 1]
 
 
-def layer_starts(path: np.ndarray, said: Said) -> np.ndarray:
+def layer_starts(beads: Column, said: Said) -> np.ndarray:
     """(L + 1,) int64: index of each layer's first bead, then the number of beads.
 
     The kind of layer comment that divides the print most finely decides; without any, the print's heights do.
     What is laid before the first comment belongs to the first layer.
     """
-    count = len(path)
+    count = len(beads)
     best = np.zeros(0, np.int64)
     for marks in said.layers.values():
-        starts = np.unique(np.frombuffer(marks, dtype=np.int64))
+        starts = np.unique(np.array(marks, np.int64))
         starts = starts[starts < count]
         if len(starts) > len(best):
             best = starts
     if len(best):
         best[0] = 0
         return np.append(best, count)
-    return np.append(starts_by_height(path), count)
+    return np.append(starts_by_height(beads), count)
 
 
-def starts_by_height(path: np.ndarray) -> np.ndarray:
+def starts_by_height(beads: Column) -> np.ndarray:
     """Index of the first bead at each new print height; in a spiral, of the first bead of each turn.
 
-    path : (N, 6) x0 y0 z0 x1 y1 z1. Heights that are only travelled through (z-hops) are none.
-
-    The turns of a spiral are told by its tangent, which turns by 2π in one round of any simple closed curve.
+    Heights that are only travelled through (z-hops) are none. The print is cut into runs, between which the nozzle
+    goes to another height; a run that climbs gently by itself is a spiral.
     """
-    if not len(path):
-        return np.zeros(0, np.int64)
-    z0, z1 = path[:, 2].astype(np.float64), path[:, 5].astype(np.float64)
-    run = np.hypot(path[:, 3] - path[:, 0], path[:, 4] - path[:, 1])
-    rise = z1 - z0
-    steep = np.abs(rise) > np.maximum(run * STEEPEST_SPIRAL, SAME_HEIGHT_MM)
-    jump = np.empty(len(path), bool)
-    jump[0] = True
-    jump[1:] = (np.abs(z0[1:] - z1[:-1]) > SAME_HEIGHT_MM) | steep[1:]
-    runs = np.flatnonzero(jump)
-    ends = np.append(runs[1:], len(path))
+    first_bead, z_begin, z_first, z_before, climbs = _runs(beads)
+    last_bead = np.append(first_bead[1:], len(beads))
+    z_end = np.append(z_before[1:], beads.read(len(beads) - 1, len(beads))[0, 5])
     starts: list[np.ndarray] = []
-    level: float | None = None
-    for first, end in zip(runs.tolist(), ends.tolist()):
-        if abs(z1[end - 1] - z0[first]) > SAME_HEIGHT_MM and not steep[first] and end - first > 2:
-            starts.append(first + _turns(path[first:end]))
-            level = float(z1[end - 1])
-        elif level is None or abs(z1[first] - level) > SAME_HEIGHT_MM:
+    level = -math.inf
+    for i in range(len(first_bead)):
+        first, last = int(first_bead[i]), int(last_bead[i])
+        if abs(z_end[i] - z_begin[i]) > SAME_HEIGHT_MM and not climbs[i] and last - first > 2:
+            starts.append(_turns(beads, first, last))
+            level = z_end[i]
+        elif abs(z_first[i] - level) > SAME_HEIGHT_MM:
             starts.append(np.array([first]))
-            level = float(z1[first])
+            level = z_first[i]
     return np.concatenate(starts).astype(np.int64)
 
 
-def _turns(path: np.ndarray) -> np.ndarray:
-    """Index of the first bead of each round of a spiral."""
-    heading = np.arctan2(path[:, 4] - path[:, 1], path[:, 3] - path[:, 0]).astype(np.float64)
-    turned = np.diff(heading)
-    turned = np.abs(np.cumsum((turned + math.pi) % (2.0 * math.pi) - math.pi))
-    rounds = np.floor(np.maximum.accumulate(turned) / (2.0 * math.pi) + 1e-6).astype(np.int64)
-    return np.concatenate([[0], 1 + np.flatnonzero(np.diff(rounds, prepend=0))])
+def _runs(beads: Column) -> tuple[np.ndarray, ...]:
+    """Where the height changes otherwise than by a gentle climb: index of the bead, z at its start and at its end, z
+    at the end of the bead before, and whether the bead itself climbs steeply."""
+    parts = []
+    before = -math.inf
+    for first, last in beads.blocks():
+        block = beads.read(first, last).astype(np.float64)
+        z0, z1 = block[:, 2], block[:, 5]
+        run = np.hypot(block[:, 3] - block[:, 0], block[:, 4] - block[:, 1])
+        steep = np.abs(z1 - z0) > np.maximum(run * STEEPEST_SPIRAL, SAME_HEIGHT_MM)
+        z_before = np.concatenate([[before], z1[:-1]])
+        at = np.flatnonzero((np.abs(z0 - z_before) > SAME_HEIGHT_MM) | steep)
+        parts.append((at + first, z0[at], z1[at], z_before[at], steep[at]))
+        before = z1[-1]
+    return tuple(np.concatenate(column) for column in zip(*parts))
 
 
-def layer_heights(path: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """(L,) float32: the height at which most of a layer is laid; in a spiral the highest."""
-    z = path[:, 5]
-    low, high = np.minimum.reduceat(z, starts[:-1]), np.maximum.reduceat(z, starts[:-1])
-    heights = high.astype(np.float32)
-    for i in np.flatnonzero(high - low > 1e-4):
-        part = path[starts[i] : starts[i + 1]]
-        length = np.hypot(part[:, 3] - part[:, 0], part[:, 4] - part[:, 1])
-        levels, which = np.unique(np.round(part[:, 5], 3), return_inverse=True)
-        shares = np.bincount(which.ravel(), weights=length)
-        if shares.max() >= 0.25 * shares.sum():
-            heights[i] = levels[shares.argmax()]
-    return heights
+def _turns(beads: Column, first: int, last: int) -> np.ndarray:
+    """Index of the first bead of each round of a spiral [first, last).
+
+    Rounds are told by the tangent, which turns by 2π in one round of any simple closed curve.
+    """
+    starts = [np.array([first])]
+    turned, most, rounds = 0.0, 0.0, 0
+    heading: float | None = None
+    for begin in range(first, last, CHUNK_ROWS):
+        block = beads.read(begin, min(begin + CHUNK_ROWS, last)).astype(np.float64)
+        headings = np.arctan2(block[:, 4] - block[:, 1], block[:, 3] - block[:, 0])
+        change = np.diff(headings, prepend=headings[0] if heading is None else heading)
+        total = turned + np.cumsum((change + math.pi) % (2.0 * math.pi) - math.pi)
+        furthest = np.maximum(np.maximum.accumulate(np.abs(total)), most)
+        done = np.floor(furthest / (2.0 * math.pi) + 1e-6).astype(np.int64)
+        starts.append(begin + np.flatnonzero(np.diff(done, prepend=rounds)))
+        turned, most, rounds, heading = float(total[-1]), float(furthest[-1]), int(done[-1]), float(headings[-1])
+    return np.concatenate(starts)
+
+
+def layer_shapes(beads: Column, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each layer's height, (L,) float32, and its lowest and highest corner in X and Y, (L, 2) float32 each.
+
+    The height is that at which most of a layer is laid; in a spiral the highest.
+    """
+    count = len(starts) - 1
+    heights, low, high = np.empty(count, np.float32), np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
+    for i, (first, last) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist())):
+        part = beads.read(first, min(last, first + CHUNK_ROWS))
+        low[i] = np.minimum(part[:, :2].min(axis=0), part[:, 3:5].min(axis=0))
+        high[i] = np.maximum(part[:, :2].max(axis=0), part[:, 3:5].max(axis=0))
+        z = part[:, 5]
+        heights[i] = z.max()
+        if z.max() - z.min() > 1e-4:
+            length = np.hypot(part[:, 3] - part[:, 0], part[:, 4] - part[:, 1])
+            levels, which = np.unique(np.round(z, 3), return_inverse=True)
+            shares = np.bincount(which.ravel(), weights=length)
+            if shares.max() >= 0.25 * shares.sum():
+                heights[i] = levels[shares.argmax()]
+    return heights, low, high
 
 
 def layer_steps(heights_mm: np.ndarray, usual_mm: float | None, nozzle_mm: float) -> np.ndarray:
@@ -112,8 +151,13 @@ def layer_steps(heights_mm: np.ndarray, usual_mm: float | None, nozzle_mm: float
     return np.where(sane, steps, min(max(usual_mm, LOWEST_MM), tallest)).astype(np.float32)
 
 
+def step_of(z_mm: np.ndarray, first: int, starts: np.ndarray, steps_mm: np.ndarray, nozzle_mm: float) -> np.ndarray:
+    """(n,) float32: height of the beads from `first` on, by their layers; in the first layer, over the bed."""
+    layer = np.searchsorted(starts, np.arange(first, first + len(z_mm)), side="right") - 1
+    return np.where(layer == 0, np.clip(z_mm, LOWEST_MM, HIGHEST_NOZZLES * nozzle_mm), steps_mm[layer])
+
+
 def widths_and_heights(
-    path: np.ndarray,
     area_mm2: np.ndarray,
     width_mm: np.ndarray,
     height_mm: np.ndarray,
@@ -134,90 +178,35 @@ def widths_and_heights(
     return width.astype(np.float32), height.astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class Objects:
-    """Which bead belongs to which object.
+def layer_ends(end_pos: Column, starts: np.ndarray, tails: tuple[array[int], array[int]]) -> np.ndarray:
+    """(L,) int64: end of each layer's last bead, or of the retraction that directly follows it."""
+    last = starts[1:] - 1
+    ends = np.array([end_pos.read(bead, bead + 1)[0] for bead in last.tolist()], np.int64)
+    if len(tails[0]):
+        beads, positions = (np.array(tail, np.int64) for tail in tails)
+        found = np.searchsorted(beads, last, side="right") - 1
+        hit = (found >= 0) & (beads[found] == last)
+        ends[hit] = positions[found[hit]]
+    return ends
 
-    object_id       : (N,) int16
-    names           : in order of appearance, only of objects that print something
-    cancelled       : see Toolpath
-    cancel_commands : see Toolpath
+
+def layer_parks(
+    ends: np.ndarray, starts: np.ndarray, low_mm: np.ndarray, high_mm: np.ndarray, travels: Travels
+) -> np.ndarray:
+    """(L,) int64: `ends`, moved on to where the file itself parks the head before the next layer.
+
+    A park is a travel from one layer to the next that goes FAR_MM or more beyond both, in X or in Y: a slicer's
+    layer change G-code, put there so that a camera sees the print. Of several the farthest counts.
     """
-
-    object_id: np.ndarray
-    names: tuple[str, ...]
-    cancelled: tuple[tuple[int, int], ...]
-    cancel_commands: tuple[str, ...]
-
-
-def find_objects(said: Said, count: int) -> Objects:
-    """The objects as one of the file's systems of labels tells them, see LABEL_SYSTEMS."""
-    labels = dict(said.labels)
-    if said.m486_names and "m486" in labels:
-        labels["m486_named"] = labels["m486"]
-    for system in LABEL_SYSTEMS:
-        if system in labels:
-            ids, kept = _printed(labels[system], count)
-            if kept:
-                break
-    else:
-        return Objects(np.full(count, NO_OBJECT, np.int16), (), (), ())
-    original = list(labels[system].names)
-    names = [_object_name(system, original[k], said) for k in kept]
-    commands = tuple(_cancel_commands(system, [original[k] for k in kept], ids, labels))
-    cancelled: dict[int, int] = {}
-    for spoken_by, name, position in said.cancelled:
-        command = _cancel_command(spoken_by, name or "")
-        if command in commands:
-            cancelled.setdefault(commands.index(command), position)
-    return Objects(ids, tuple(names), tuple(sorted(cancelled.items())), commands)
-
-
-def _printed(labels: Labels, count: int) -> tuple[np.ndarray, list[int]]:
-    """Object of each bead, renumbered over the objects that have beads; and which those are."""
-    ids = held(labels.changes, count, NO_OBJECT).astype(np.int64)
-    seen = np.bincount(ids + 1, minlength=len(labels.names) + 1)[1:]
-    kept = np.flatnonzero(seen).tolist()
-    renumbered = np.full(len(labels.names) + 1, NO_OBJECT, np.int16)
-    renumbered[kept] = np.arange(len(kept))
-    return renumbered[ids], kept  # index -1 is the last entry: NO_OBJECT
-
-
-def _object_name(system: str, name: str, said: Said) -> str:
-    if system in ("m486", "m486_named"):
-        return said.m486_names.get(int(name), f"object {name}")
-    return name
-
-
-def _cancel_command(system: str, name: str) -> str:
-    if system == "exclude_object":
-        return f"EXCLUDE_OBJECT NAME={name}"
-    if system in ("m486", "m486_named"):
-        return f"M486 P{name}"
-    return ""
-
-
-def _cancel_commands(system: str, names: list[str], ids: np.ndarray, labels: dict[str, Labels]) -> list[str]:
-    """What the firmware must be told to skip each object; "" where the file holds no labels that it understands."""
-    if system in ("exclude_object", "m486_named", "m486"):
-        return [_cancel_command(system, name) for name in names]
-    for spoken in ("exclude_object", "m486"):
-        if spoken in labels:
-            other = held(labels[spoken].changes, len(ids), NO_OBJECT).astype(np.int64)
-            known = list(labels[spoken].names)
-            commands = []
-            for k in range(len(names)):
-                shared = other[(ids == k) & (other >= 0)]
-                commands.append(
-                    _cancel_command(spoken, known[int(np.bincount(shared).argmax())]) if len(shared) else ""
-                )
-            return commands
-    return [""] * len(names)
-
-
-def said_or_first(role: np.ndarray, said: Said, first_mark: int) -> np.ndarray:
-    """(N,) uint8. What is laid before the first layer comment and has no role yet is a prime line."""
-    role = role.copy()
-    role[:first_mark][role[:first_mark] < 0] = Role.TOWER
-    role[role < 0] = Role.OUTER
-    return role.astype(np.uint8)
+    bead, end_pos = np.array(travels.bead, np.int64), np.array(travels.end_pos, np.int64)
+    place = np.column_stack([np.array(travels.x), np.array(travels.y)])
+    found = ends.copy()
+    firsts, afters = np.searchsorted(bead, starts[1:] - 1), np.searchsorted(bead, starts[1:])
+    for layer in np.flatnonzero(firsts < afters).tolist():
+        between = slice(int(firsts[layer]), int(afters[layer]))
+        both = slice(layer, layer + 2)
+        low, high = low_mm[both].min(axis=0), high_mm[both].max(axis=0)
+        beyond = np.maximum(low - place[between], place[between] - high).max(axis=1)
+        if beyond.max() >= FAR_MM:
+            found[layer] = max(found[layer], end_pos[between][beyond.argmax()])
+    return found

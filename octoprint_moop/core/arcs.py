@@ -1,0 +1,70 @@
+"""G2 and G3: arcs as chords."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+CHORD_ERROR_MM = 0.05
+MAX_CHORDS = 2000  # of one command; the P parameter would allow millions
+LEAST_MOVE_MM = 1e-6
+GREATEST_RADIUS_MM = 1e6
+
+
+def chords(
+    start_mm: np.ndarray,
+    end_mm: np.ndarray,
+    centre_mm: np.ndarray,
+    clockwise: np.ndarray,
+    turns: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Chords that leave their arcs by at most CHORD_ERROR_MM (where MAX_CHORDS suffice).
+
+    start_mm, end_mm : (n, 3) float64. An arc that ends over its start is a full circle; Z climbs evenly (a helix).
+    centre_mm        : (n, 2) float64; NaN gives one straight chord
+    clockwise        : (n,) bool, G2
+    turns            : (n,) int, the P parameter: circles in all if closed, additional ones else
+
+    Returns the number of chords of each arc, (n,) int64, and their ends one arc after the other, (sum, 3) float64.
+    """
+    a, b = start_mm[:, :2] - centre_mm, end_mm[:, :2] - centre_mm
+    radius, last_radius = np.hypot(a[:, 0], a[:, 1]), np.hypot(b[:, 0], b[:, 1])
+    straight = ~((radius > LEAST_MOVE_MM) & (radius < GREATEST_RADIUS_MM))
+    closed = np.hypot(*(end_mm - start_mm)[:, :2].T) < LEAST_MOVE_MM
+    angle = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])
+    angle = np.where(closed | straight, 0.0, angle)
+    angle = np.where(clockwise & (angle >= 0.0), angle - 2 * math.pi, angle)
+    angle = np.where(~clockwise & (angle <= 0.0), angle + 2 * math.pi, angle)
+    more = np.clip(turns - closed, 0, MAX_CHORDS)
+    angle += np.sign(angle) * 2 * math.pi * more
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widest = 2.0 * np.arccos(1.0 - np.minimum(CHORD_ERROR_MM / radius, 0.5))
+        count = np.ceil(np.abs(angle) / widest)
+    count = np.where(straight, 1, np.clip(np.nan_to_num(count, nan=1.0), 1, MAX_CHORDS)).astype(np.int64)
+
+    which = np.repeat(np.arange(len(count)), count)
+    ordinal = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count) + 1
+    part = ordinal / count[which]
+    r = radius[which] + (last_radius - radius)[which] * part
+    phi = np.arctan2(a[:, 1], a[:, 0])[which] + angle[which] * part
+    points = np.empty((len(which), 3))
+    points[:, 0] = centre_mm[which, 0] + r * np.cos(phi)
+    points[:, 1] = centre_mm[which, 1] + r * np.sin(phi)
+    points[:, 2] = start_mm[which, 2] + (end_mm - start_mm)[which, 2] * part
+    final = ordinal == count[which]
+    points[final] = end_mm[which[final]]
+    return count, points
+
+
+def centres_by_radius(
+    start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: np.ndarray, clockwise: np.ndarray
+) -> np.ndarray:
+    """(n, 2) centres of arcs given by R: the short way round for R > 0, the long way for R < 0; NaN if closed."""
+    chord = (end_mm - start_mm)[:, :2]
+    length = np.hypot(chord[:, 0], chord[:, 1])
+    rise = np.sqrt(np.maximum(radius_mm**2 - length**2 / 4.0, 0.0))
+    rise = np.where(clockwise == (radius_mm > 0.0), -rise, rise)
+    hopeless = (length < LEAST_MOVE_MM) | (np.abs(radius_mm) < LEAST_MOVE_MM)
+    unit = chord / np.where(hopeless, np.nan, length)[:, None]
+    return (start_mm + end_mm)[:, :2] / 2.0 + np.column_stack([-unit[:, 1], unit[:, 0]]) * rise[:, None]

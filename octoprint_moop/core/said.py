@@ -1,0 +1,81 @@
+"""What a file's comments and labels said, in the order in which they said it, by index of the bead that came next."""
+
+from __future__ import annotations
+
+from array import array
+
+from .dialects import Declared, Feature, Height, Label, Layer, Slicer, Width, meaning
+
+NOT_SAID = -1.0  # role, width or height that no comment has told yet
+
+
+class Changes:
+    """A value that holds from a bead on: change points, compact."""
+
+    def __init__(self) -> None:
+        self.bead, self.value = array("q"), array("d")
+
+    def at(self, bead: int, value: float) -> None:
+        if self.bead and self.bead[-1] == bead:
+            self.value[-1] = value
+        elif not self.value or self.value[-1] != value:
+            self.bead.append(bead)
+            self.value.append(value)
+
+
+class Labels:
+    """Object labels of one kind: which object holds from a bead on (-1 for none), and their names in order."""
+
+    def __init__(self) -> None:
+        self.changes = Changes()
+        self.names: dict[str, int] = {}
+
+    def at(self, bead: int, name: str | None) -> None:
+        self.changes.at(bead, -1 if name is None else self.names.setdefault(name, len(self.names)))
+
+    def current(self) -> str | None:
+        """The name that holds now."""
+        index = int(self.changes.value[-1]) if self.changes.value else -1
+        return None if index < 0 else list(self.names)[index]
+
+
+class Said:
+    """`layers`: kind of layer comment -> bead indices; `cancelled`: (kind of label, name, file position)."""
+
+    def __init__(self) -> None:
+        self.layers: dict[str, array[int]] = {}
+        self.role, self.width, self.height = Changes(), Changes(), Changes()
+        self.labels: dict[str, Labels] = {}
+        self.m486_names: dict[int, str] = {}
+        self.cancelled: list[tuple[str, str, int]] = []
+        self.slicer = ""
+        self.declared: dict[str, tuple[float, ...]] = {}
+
+    def comment(self, text: str, bead: int) -> None:
+        """Take note of a comment, the text after the semicolon."""
+        for said in meaning(text):
+            if isinstance(said, Width):
+                self.width.at(bead, said.mm)
+            elif isinstance(said, Height):
+                self.height.at(bead, said.mm)
+            elif isinstance(said, Layer):
+                self.layers.setdefault(said.dialect, array("q")).append(bead)
+            elif isinstance(said, Feature):
+                self.role.at(bead, said.role)
+                if said.custom:
+                    self.width.at(bead, NOT_SAID)
+                    self.height.at(bead, NOT_SAID)
+            elif isinstance(said, Label):
+                self.label(said.system, said.name, bead)
+            elif isinstance(said, Slicer):
+                self.slicer = self.slicer or said.name
+            elif isinstance(said, Declared):
+                self.declared.setdefault(said.setting, said.values)
+
+    def label(self, system: str, name: str | None, bead: int) -> None:
+        self.labels.setdefault(system, Labels()).at(bead, name)
+
+    def setting(self, name: str) -> float | None:
+        """The first value of a setting that the file declares, or None."""
+        values = self.declared.get(name)
+        return values[0] if values else None
