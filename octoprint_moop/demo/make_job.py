@@ -29,7 +29,8 @@ SETTINGS = {
     "external_perimeter_speed": "50", "infill_speed": "80", "solid_infill_speed": "80", "top_solid_infill_speed": "60",
     "gap_fill_speed": "60", "first_layer_speed": "40", "travel_speed": "130", "cooling": "0", "temperature": "210",
     "first_layer_temperature": "210", "first_layer_bed_temperature": "60", "bed_temperature": "60",
-    "retract_length": "0.8", "retract_lift": "0.2", "retract_layer_change": "1", "gcode_label_objects": "1", "resolution": "0.05",
+    "retract_length": "0.8", "retract_lift": "0.2", "retract_layer_change": "1",
+    "gcode_label_objects": "1", "resolution": "0.05",
     "use_relative_e_distances": "1", "gcode_flavor": "marlin2", "start_gcode": START,
     # The bed comes to where the camera looks, and the head goes out of the picture: the set-up of the paper.
     "layer_gcode": r"G92 E0\nG1 X0 Y200 F7800",

@@ -13,7 +13,7 @@ import numpy as np
 from ..core.camera import Camera
 from .faults import Matter
 
-SUPERSAMPLING = 2
+SUPERSAMPLING = 3  # odd, so that one sample lies in the pixel's middle
 _SUBPIXEL_BITS = 4
 
 
@@ -100,12 +100,15 @@ class Painter:
         across = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
         # The side that the camera sees.
         to_camera = self._camera.centre_mm - (start + end) / 2
+        # OpenCV fills a polygon's edge as well, half a pixel beyond it on each side.
+        fine_mm = np.linalg.norm(to_camera, axis=1) / (self._camera.K[0, 0] * SUPERSAMPLING)
+        width, height = np.maximum(width - fine_mm, 0.1), np.maximum(height - fine_mm, 0.05)
+        start, end = start - [0.0, 0.0, 0.5] * fine_mm[:, None], end - [0.0, 0.0, 0.5] * fine_mm[:, None]
         across *= np.where((across * to_camera).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
 
-        outline = self._pixels(_outline(start, end, along, across, width, height))
-        side = self._pixels(_side(start, end, across, width, height))
-        top = self._pixels(_top(start, end, along, across, width))
+        bars = _Bars(*(self._frames(point, along, across) for point in (start, end)))
+        outline, side, top = _outline(bars, width, height), _side(bars, width, height), _top(bars, width)
         groove_bgr, side_bgr, top_bgr = self._colours(along, across, to_camera, matter.bead[strokes])
         self._paint_polygons(canvas, outline, side, top, groove_bgr, side_bgr, top_bgr)
         self._paint_shadow(canvas.shadow, start, end, width)
@@ -126,12 +129,17 @@ class Painter:
         distance = np.linalg.norm(middle[:, :2] - centre[:2], axis=1)
         return np.lexsort((-distance, rank))
 
-    def _pixels(self, corners_mm: np.ndarray) -> np.ndarray:
-        """(N, C, 3) to (N, C, 2) int32: fixed-point pixels of the canvas."""
-        count, corners = corners_mm.shape[:2]
-        pixels = self._camera.project(corners_mm.reshape(-1, 3)).reshape(count, corners, 2)
-        pixels = (pixels + 0.5) * SUPERSAMPLING - 0.5
-        return np.round(np.nan_to_num(pixels, nan=-1e4).clip(-1e4, 1e4) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    def _frames(self, point: np.ndarray, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """(N, 4, 2) float64, canvas pixels: each point, and what a millimetre along, across and up adds to it.
+
+        A bead is so thin that its picture is that of a flat lens: the error is a hundredth of a pixel.
+        """
+        up = np.broadcast_to([0.0, 0.0, 1.0], along.shape)
+        corners = np.stack([point, point + along, point + across, point + up], axis=1)
+        pixels = self._camera.project(corners.reshape(-1, 3)).reshape(-1, 4, 2)
+        pixels = (np.nan_to_num(pixels, nan=-1e5).clip(-1e5, 1e5) + 0.5) * SUPERSAMPLING - 0.5
+        pixels[:, 1:] -= pixels[:, :1]
+        return pixels
 
     def _colours(
         self, along: np.ndarray, across: np.ndarray, to_camera: np.ndarray, bead: np.ndarray
@@ -195,32 +203,48 @@ class Painter:
             cv2.line(image, (x0, y0), (x1, y1), tint, across_px, cv2.LINE_8, 4)
 
 
-def _outline(
-    start: np.ndarray, end: np.ndarray, along: np.ndarray, across: np.ndarray, width: np.ndarray, height: np.ndarray
-) -> np.ndarray:
-    """(N, 16, 3): corners of a bar with blunt ends, above and below."""
-    half = width[:, None] / 2
-    corners = []
-    for point, sign in ((start, -1.0), (end, 1.0)):
-        for reach, side in ((1.0, 0.45), (1.0, -0.45), (0.45, 1.0), (0.45, -1.0)):
-            corners.append(point + sign * reach * half * along + side * half * across)
-    top = np.stack(corners, axis=1)
-    down = np.zeros_like(top)
-    down[:, :, 2] = height[:, None]
-    return np.concatenate([top, top - down], axis=1)
+class _Bars:
+    """Where the corners of beads come to lie in the picture; start and end as `Painter._frames` has them."""
+
+    def __init__(self, start: np.ndarray, end: np.ndarray) -> None:
+        self._ends = (start, end)
+        self._corners: list[np.ndarray] = []
+
+    def add(self, end: int, along_mm: np.ndarray, across_mm: np.ndarray, up_mm: np.ndarray) -> None:
+        """A corner so far from the start (0) or the end (1); `along_mm` counts away from the bead."""
+        frame = self._ends[end]
+        away = along_mm if end else -along_mm
+        self._corners.append(
+            frame[:, 0] + away[:, None] * frame[:, 1] + across_mm[:, None] * frame[:, 2] + up_mm[:, None] * frame[:, 3]
+        )
+
+    def take(self) -> np.ndarray:
+        """(N, C, 2) int32: the corners added so far, in fixed-point pixels of the canvas; begins anew."""
+        corners, self._corners = np.stack(self._corners, axis=1), []
+        return np.round(corners.clip(-1e4, 1e4) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
 
 
-def _side(
-    start: np.ndarray, end: np.ndarray, across: np.ndarray, width: np.ndarray, height: np.ndarray
-) -> np.ndarray:
-    """(N, 4, 3): the lit band on the side that the camera sees."""
-    out = across * width[:, None] / 2
-    high, low = np.zeros_like(start), np.zeros_like(start)
-    high[:, 2], low[:, 2] = -0.1 * height, -0.78 * height
-    return np.stack([start + out + high, end + out + high, end + out + low, start + out + low], axis=1)
+def _outline(bars: _Bars, width: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """(N, 32, 2): a bar with rounded sides and ends: a slicer's rectangle between two half circles."""
+    radius = height / 2
+    for inset, level in ((0.0, 0.414), (0.586, 1.0)):  # an octagon around the circle
+        half = width / 2 - inset * radius
+        for end in (0, 1):
+            for reach, side in ((1.0, 0.414), (1.0, -0.414), (0.414, 1.0), (0.414, -1.0)):
+                for rise in (level - 1, -level - 1):
+                    bars.add(end, reach * half, side * half, rise * radius)
+    return bars.take()
 
 
-def _top(start: np.ndarray, end: np.ndarray, along: np.ndarray, across: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """(N, 4, 3): the lit back of the bead."""
-    out, ahead = across * width[:, None] * 0.36, along * width[:, None] * 0.25
-    return np.stack([start + out - ahead, end + out + ahead, end - out + ahead, start - out - ahead], axis=1)
+def _side(bars: _Bars, width: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """(N, 4, 2): the lit band on the side that the camera sees."""
+    for end, rise in ((0, -0.1), (1, -0.1), (1, -0.78), (0, -0.78)):
+        bars.add(end, 0 * width, width / 2, rise * height)
+    return bars.take()
+
+
+def _top(bars: _Bars, width: np.ndarray) -> np.ndarray:
+    """(N, 4, 2): the lit back of the bead."""
+    for end, side in ((0, 0.36), (1, 0.36), (1, -0.36), (0, -0.36)):
+        bars.add(end, 0.25 * width, side * width, 0 * width)
+    return bars.take()

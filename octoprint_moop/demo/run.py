@@ -25,7 +25,7 @@ from .webcam import SnapshotServer
 JOB = Path(__file__).with_name("job.gcode.gz")
 JOB_NAME = "tug-and-bracket.gcode"
 BED = BedMotion("y", (0.0, 200.0, 0.0))
-MATERIAL = HsvThresholds(8.0, 35.0, 0.6, 0.3)
+MATERIAL = HsvThresholds(8.0, 35.0, 0.6, 0.42)
 FAULT_LAYER = {"extrusion_stop": 30, "detachment": 36, "warping": 14, "layer_shift": 33, "spaghetti": 40}
 """Where each fault strikes unless another layer is asked for: late enough to have a print to lose."""
 

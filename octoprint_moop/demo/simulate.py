@@ -10,13 +10,13 @@ import numpy as np
 from ..core.camera import BedMotion, Camera
 from ..core.toolpath import Role, Toolpath
 from .faults import Fault, Matter, matter_at
-from .painter import Canvas, Light, Painter
+from .painter import SUPERSAMPLING, Canvas, Light, Painter
 from .room import Room
 
 NUISANCES = ("dim", "bright", "hand", "nudge", "white_balance", "black")
 ORANGE_BGR = (24.0, 104.0, 240.0)
 _OPEN_LAYERS = 10
-_FEW = 15_000
+_FEW = 4_000
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,9 @@ class Scene:
         return cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, self._light.jpeg_quality])[1].tobytes()
 
     def truth(self, file_pos: int, position_mm: tuple[float, float, float]) -> np.ndarray:
-        """(H, W) uint8, 255 where matter covers half of the pixel or more, head and hands taken away. For scores only."""
+        """(H, W) uint8, 255 where there is matter in the pixel's middle, head and hands taken away. For scores only."""
         view = self._view(self._toolpath.layer_at(file_pos))
-        cover = view.cover(self._matter(self._toolpath.laid_at(file_pos)), position_mm)
-        return np.where(cover >= 127.5, np.uint8(255), np.uint8(0))
+        return view.mask(self._matter(self._toolpath.laid_at(file_pos)), position_mm)
 
     def _matter(self, laid: int) -> Matter:
         return matter_at(self._toolpath, self.faults, laid, self._seed)
@@ -176,10 +175,11 @@ class _View:
         cover = self._shrunk(canvas.cover).astype(np.float32)[..., None] / 255
         return picture * (1 - cover) + self._shrunk(canvas.colour).astype(np.float32)
 
-    def cover(self, matter: Matter, position_mm: tuple[float, float, float]) -> np.ndarray:
-        """(H, W) float32 0..255: how much of each pixel is matter."""
+    def mask(self, matter: Matter, position_mm: tuple[float, float, float]) -> np.ndarray:
+        """(H, W) uint8, 255 where there is matter in the middle of the pixel."""
         self._bring_up(matter, position_mm)
-        return self._shrunk(self._canvas.cover).astype(np.float32)
+        middle = SUPERSAMPLING // 2
+        return self._canvas.cover[middle::SUPERSAMPLING, middle::SUPERSAMPLING].copy()
 
     def _shrunk(self, fine: np.ndarray) -> np.ndarray:
         return cv2.resize(fine, self._size_px, interpolation=cv2.INTER_AREA)
