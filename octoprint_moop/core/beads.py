@@ -7,7 +7,6 @@ from typing import Iterator
 import numpy as np
 
 from .camera import Camera
-from .toolpath import Toolpath
 
 DRAWN_BEAD = np.dtype([("start", "f4", 3), ("end", "f4", 3), ("size", "f4", 2), ("birth", "u4")])
 
@@ -15,11 +14,14 @@ DRAWN_BEAD = np.dtype([("start", "f4", 3), ("end", "f4", 3), ("size", "f4", 2), 
 STRAIGHT_RAD = 1 / 25
 
 
-def straight_mm(toolpath: Toolpath, camera: Camera, room_from_print_mm: np.ndarray) -> float:
-    """Length up to which every bead's image is straight; infinite for a lens that keeps lines straight."""
+def straight_mm(bounds_mm: np.ndarray, camera: Camera, room_from_print_mm: np.ndarray) -> float:
+    """Length up to which every line within the bounds has a straight image; infinite for a lens that bends none.
+
+    bounds_mm : (2, 3), lowest and highest corner, print coordinates
+    """
     if camera.model != "fisheye" and not camera.distortion.any():
         return np.inf
-    low, high = toolpath.bounds_mm()
+    low, high = bounds_mm
     eye = camera.centre_mm - room_from_print_mm
     return max(1.0, STRAIGHT_RAD * float(np.linalg.norm(eye - np.clip(eye, low, high))))
 

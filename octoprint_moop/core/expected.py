@@ -12,6 +12,7 @@ import numpy as np
 from .camera import BedMotion, Camera
 from .hardware import HeadModel
 from .lens import blind_area
+from .solid import Solid
 from .toolpath import Role, Toolpath
 
 NEVER = 0
@@ -41,6 +42,13 @@ class MaskRenderer(Protocol):
 
         room_from_print_mm : (3,) float, added to every point of the print
         beads              : sorted indices of the beads to draw, None for all
+        Raises RenderError where drawing fails.
+        """
+
+    def solid_map(self, solid: Solid, camera: Camera, room_from_print_mm: np.ndarray) -> np.ndarray:
+        """(H, W) uint32: 1 + height in micrometres at which the pixel's centre is first covered when the solid grows
+        from the bed upwards: that of the lowest point of its surface on the pixel's ray. 0 where it never is.
+
         Raises RenderError where drawing fails.
         """
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Iterator
+
 import numpy as np
 
 from .beads import drawn_beads, straight_mm
 from .camera import Camera
 from .lens import shown
+from .solid import MICROMETRES, Solid
 from .toolpath import Toolpath
 
 CHUNK = 1 << 14
+UNTOUCHED = np.uint32(0xFFFFFFFF)
 LONGEST_MM = 12.0  # longer beads are drawn in parts, since the loop below runs over the rows of the tallest
 
 
@@ -36,18 +40,63 @@ class CvRenderer:
     ) -> np.ndarray:
         """As MaskRenderer says."""
         shift_mm = np.asarray(room_from_print_mm, dtype=np.float64)
-        width, height = camera.image_size_px
-        births = np.full((height, width), np.iinfo(np.uint32).max, dtype=np.uint32)
-        longest_mm = min(straight_mm(toolpath, camera, shift_mm), LONGEST_MM)
+        births = _untouched(camera)
+        longest_mm = min(straight_mm(toolpath.bounds_mm(), camera, shift_mm), LONGEST_MM)
         for drawn in drawn_beads(toolpath.beads_mm, beads, longest_mm, CHUNK):
             start, end = drawn["start"] + shift_mm, drawn["end"] + shift_mm
             seen = shown(start, camera) & shown(end, camera)
             corners = outline(start[seen], end[seen], drawn["size"][seen].astype(np.float64), camera.centre_mm)
             corners_px = camera.project(corners.reshape(-1, 3)).reshape(-1, 6, 2)
             whole = np.isfinite(corners_px).all(axis=(1, 2))
-            fill_convex(births, corners_px[whole], drawn["birth"][seen][whole])
-        births[births == np.iinfo(np.uint32).max] = 0
+            birth = drawn["birth"][seen][whole]
+            flat = births.reshape(-1)
+            for bead, pixel in covered(corners_px[whole], births.shape):
+                born = birth[bead]
+                earlier = born < flat[pixel]
+                # of several values for one pixel the last assigned stays, and beads come in file order
+                flat[pixel[earlier][::-1]] = born[earlier][::-1]
+        births[births == UNTOUCHED] = 0
         return births
+
+    def solid_map(self, solid: Solid, camera: Camera, room_from_print_mm: np.ndarray) -> np.ndarray:
+        """As MaskRenderer says."""
+        shift_mm = np.asarray(room_from_print_mm, dtype=np.float64)
+        heights = _untouched(camera)
+        flat = heights.reshape(-1)
+        longest_mm = min(straight_mm(solid.bounds_mm(), camera, shift_mm), LONGEST_MM)
+        triangles = solid.cut(longest_mm)
+        for first in range(0, len(triangles), CHUNK):
+            corners = triangles[first : first + CHUNK].astype(np.float64)
+            room = corners.reshape(-1, 3) + shift_mm
+            seen = shown(room, camera).reshape(-1, 3).all(axis=1)
+            corners, room = corners[seen], room.reshape(-1, 3, 3)[seen]
+            corners_px = camera.project(room.reshape(-1, 3)).reshape(-1, 3, 2)
+            depth = room @ camera.camera_from_room[2, :3] + camera.tvec_mm[2]
+            height, near = _across(corners_px, corners[:, :, 2] / depth), _across(corners_px, 1 / depth)
+            for triangle, pixel in covered(corners_px, heights.shape):
+                at = np.stack([pixel % heights.shape[1], pixel // heights.shape[1], np.ones_like(pixel)], axis=1)
+                height_mm = (height[triangle] * at).sum(axis=1) / (near[triangle] * at).sum(axis=1)
+                low_mm, high_mm = corners[triangle, :, 2].min(axis=1), corners[triangle, :, 2].max(axis=1)
+                found = 1 + np.rint(np.clip(height_mm, low_mm, high_mm).clip(0) * MICROMETRES).astype(np.uint32)
+                lower = np.flatnonzero(found < flat[pixel])
+                lower = lower[np.argsort(found[lower])[::-1]]
+                flat[pixel[lower]] = found[lower]
+        heights[heights == UNTOUCHED] = 0
+        return heights
+
+
+def _untouched(camera: Camera) -> np.ndarray:
+    width, height = camera.image_size_px
+    return np.full((height, width), UNTOUCHED, dtype=np.uint32)
+
+
+def _across(corners_px: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(N, 3) float64: a, b, c of the plane a·x + b·y + c over the picture that has `values` (N, 3) at the corners."""
+    ones = np.ones((*corners_px.shape[:2], 1))
+    corners = np.concatenate([corners_px, ones], axis=2)
+    flat = np.abs(np.linalg.det(corners)) < 1e-9  # seen edge on: it covers no pixel's centre
+    corners[flat] = np.eye(3)
+    return np.linalg.solve(corners, values[:, :, None])[:, :, 0]
 
 
 def outline(start_mm: np.ndarray, end_mm: np.ndarray, size_mm: np.ndarray, eye_mm: np.ndarray) -> np.ndarray:
@@ -88,14 +137,14 @@ def _touching(normal: np.ndarray, half_axes: np.ndarray) -> np.ndarray:
     return half_axes * scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
 
 
-def fill_convex(births: np.ndarray, corners_px: np.ndarray, birth: np.ndarray) -> None:
-    """Lowers every pixel of `births` whose centre lies in a polygon to that polygon's birth, where it is less.
+def covered(corners_px: np.ndarray, shape: tuple[int, int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Which pixels' centres lie in which polygon, a row of each polygon at a time.
 
-    births     : (H, W) uint32, changed
     corners_px : (N, M, 2) float64, convex, in either direction round
-    birth      : (N,) uint32, ascending
+    shape      : (height, width) of the picture
+    Yields (K,) indices of polygons, ascending, and (K,) flat indices of pixels.
     """
-    height, width = births.shape
+    height, width = shape
     x, y = corners_px[..., 0], corners_px[..., 1]
     edge_x, edge_y = np.roll(x, -1, axis=1) - x, np.roll(y, -1, axis=1) - y
     turn = np.sign((x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1))
@@ -108,8 +157,7 @@ def fill_convex(births: np.ndarray, corners_px: np.ndarray, birth: np.ndarray) -
     right_slope, right_foot = np.where(down > 0, slope, 0.0), np.where(down > 0, foot, np.inf)
     row = np.maximum(np.ceil(y.min(axis=1)), 0)
     last_row = np.minimum(np.floor(y.max(axis=1)), height - 1)
-    flat = births.reshape(-1)
-    alive = np.flatnonzero(row <= last_row)
+    alive = np.flatnonzero((row <= last_row) & (turn != 0))
     while alive.size:
         at = row[alive, None]
         left = np.ceil((left_slope[alive] * at + left_foot[alive]).max(axis=1)).clip(0, width)
@@ -117,10 +165,6 @@ def fill_convex(births: np.ndarray, corners_px: np.ndarray, birth: np.ndarray) -
         many = np.maximum(right - left + 1, 0).astype(np.int64)
         first = (row[alive] * width + left).astype(np.int64)
         begins = np.cumsum(many) - many
-        pixel = np.repeat(first - begins, many) + np.arange(int(many.sum()))
-        born = np.repeat(birth[alive], many)
-        earlier = born < flat[pixel]
-        # of several values for one pixel the last assigned stays, so the earliest is assigned last
-        flat[pixel[earlier][::-1]] = born[earlier][::-1]
+        yield np.repeat(alive, many), np.repeat(first - begins, many) + np.arange(int(many.sum()))
         row[alive] += 1
         alive = alive[row[alive] <= last_row[alive]]

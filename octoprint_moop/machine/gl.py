@@ -17,7 +17,8 @@ import numpy as np
 from ..core.beads import DRAWN_BEAD, drawn_beads, straight_mm
 from ..core.camera import Camera
 from ..core.errors import RenderError
-from ..core.lens import outermost_ray, tilt
+from ..core.lens import outermost_ray, shown, tilt
+from ..core.solid import Solid
 from ..core.toolpath import Toolpath
 
 CHUNK = 1 << 15  # instances a draw call: bounds graphics memory and the time for which moderngl holds the GIL
@@ -100,6 +101,36 @@ out uint birth;
 void main() { birth = pixel; }
 """
 
+# Of everything that the ray through a pixel meets, the lowest point tells from which height on the pixel is covered: a
+# closed surface cut off above some height and drawn from both sides has the outline of the solid with a lid on. So one
+# drawing with the height as depth holds the masks of all heights, and no clipping is needed.
+SURFACE = (
+    PROJECT
+    + """
+in vec3 corner;
+out float height;
+
+void main() {
+    height = corner.z;
+    vec3 c = camera_from_print * corner + print_origin_camera;
+    gl_Position = vec4(to_ndc(c) * c.z, 0.0, c.z);
+}
+"""
+)
+
+HEIGHT = """
+#version 140
+uniform float top;
+in float height;
+out uint lowest;
+
+void main() {
+    float h = max(height, 0.0);
+    lowest = 1u + uint(h * 1000.0 + 0.5);
+    gl_FragDepth = h / top;
+}
+"""
+
 
 class GlRenderer:
     """A MaskRenderer on OpenGL 3.1 or newer (hardware, or Mesa's llvmpipe). Use it in the thread that made it."""
@@ -127,6 +158,8 @@ class GlRenderer:
             self._beads = self._context.vertex_array(
                 self._program, [(self._scratch, "3f 3f 2f 1u/i", "start", "end", "size", "birth")]
             )
+            self._surface_program = self._context.program(vertex_shader=SURFACE, fragment_shader=HEIGHT)
+            self._surface = self._context.vertex_array(self._surface_program, [(self._scratch, "3f", "corner")])
         except moderngl.Error as error:
             self._context.release()
             raise RenderError(f"{self.name} cannot draw beads ({error}).") from None
@@ -145,7 +178,7 @@ class GlRenderer:
                 for part in (frame, depth, texture):
                     part.release()
             self._targets.clear()
-            for part in (self._beads, self._scratch, self._program):
+            for part in (self._beads, self._surface, self._scratch, self._program, self._surface_program):
                 part.release()
         self._context.release()
 
@@ -163,25 +196,52 @@ class GlRenderer:
     def _births(
         self, toolpath: Toolpath, camera: Camera, shift_mm: np.ndarray, beads: np.ndarray | None
     ) -> np.ndarray:
+        frame = self._begin(self._program, camera, shift_mm)
+        longest_mm = straight_mm(toolpath.bounds_mm(), camera, shift_mm)
+        for drawn in drawn_beads(toolpath.beads_mm, beads, longest_mm, CHUNK):
+            self._scratch.orphan()
+            self._scratch.write(drawn)
+            self._beads.render(moderngl.TRIANGLE_STRIP, vertices=6, instances=len(drawn))
+        return self._finish(frame, camera)
+
+    def solid_map(self, solid: Solid, camera: Camera, room_from_print_mm: np.ndarray) -> np.ndarray:
+        """As MaskRenderer says."""
+        with self._current():
+            return self._lowest(solid, camera, np.asarray(room_from_print_mm, dtype=np.float64))
+
+    def _lowest(self, solid: Solid, camera: Camera, shift_mm: np.ndarray) -> np.ndarray:
+        frame = self._begin(self._surface_program, camera, shift_mm)
+        bounds_mm = solid.bounds_mm()
+        self._surface_program["top"].value = max(float(bounds_mm[1, 2]), 1e-3) * 1.001
+        triangles = solid.cut(straight_mm(bounds_mm, camera, shift_mm))
+        for first in range(0, len(triangles), CHUNK):
+            drawn = triangles[first : first + CHUNK]
+            drawn = drawn[shown(drawn.reshape(-1, 3) + shift_mm, camera).reshape(-1, 3).all(axis=1)]
+            if len(drawn):
+                self._scratch.orphan()
+                self._scratch.write(np.ascontiguousarray(drawn))
+                self._surface.render(moderngl.TRIANGLES, vertices=3 * len(drawn))
+        return self._finish(frame, camera)
+
+    def _begin(self, program: moderngl.Program, camera: Camera, shift_mm: np.ndarray) -> moderngl.Framebuffer:
         width, height = camera.image_size_px
         texture, frame = self._target(camera.image_size_px)
-        self._look(camera, shift_mm)
+        self._look(program, camera, shift_mm)
         frame.use()
         frame.clear(depth=1.0)
         texture.write(np.full(width * height, UNTOUCHED))  # GL does not define clearing integers by floats
         self._context.enable_only(moderngl.DEPTH_TEST)
         self._context.depth_func = "<"
-        longest_mm = straight_mm(toolpath, camera, shift_mm)
-        for drawn in drawn_beads(toolpath.beads_mm, beads, longest_mm, CHUNK):
-            self._scratch.orphan()
-            self._scratch.write(drawn)
-            self._beads.render(moderngl.TRIANGLE_STRIP, vertices=6, instances=len(drawn))
-        births = np.empty((height, width), dtype=np.uint32)
-        frame.read_into(births, components=1, alignment=1, dtype="u4")
-        if not births.all():
+        return frame
+
+    def _finish(self, frame: moderngl.Framebuffer, camera: Camera) -> np.ndarray:
+        width, height = camera.image_size_px
+        pixels = np.empty((height, width), dtype=np.uint32)
+        frame.read_into(pixels, components=1, alignment=1, dtype="u4")
+        if not pixels.all():
             raise RenderError(f"{self.name} returned an empty picture. `moop doctor` tries it; restart the server.")
-        births[births == UNTOUCHED] = 0
-        return births
+        pixels[pixels == UNTOUCHED] = 0
+        return pixels
 
     @contextmanager
     def _current(self) -> Iterator[None]:
@@ -201,7 +261,7 @@ class GlRenderer:
             self._targets[size_px] = (texture, self._context.framebuffer([texture], depth), depth)
         return self._targets[size_px][:2]
 
-    def _look(self, camera: Camera, shift_mm: np.ndarray) -> None:
+    def _look(self, program: moderngl.Program, camera: Camera, shift_mm: np.ndarray) -> None:
         """Hands the camera to the shader: composed in float64, rounded once."""
         width, height = camera.image_size_px
         # Pixel centres lie at whole numbers in OpenCV and at halves in GL; row 0 is drawn, and read, first.
@@ -218,8 +278,9 @@ class GlRenderer:
             "outermost": np.array(outermost_ray(camera)),
         }
         for name, value in values.items():
-            self._program[name].write(np.ascontiguousarray(value, dtype=np.float32))
-        self._program["fisheye"].value = camera.model == "fisheye"
+            if name in program:  # what a program does not use, the driver leaves out
+                program[name].write(np.ascontiguousarray(value, dtype=np.float32))
+        program["fisheye"].value = camera.model == "fisheye"
 
     def _check(self) -> None:
         """Draws one bead whose picture is known. Raises RenderError unless it comes out."""
