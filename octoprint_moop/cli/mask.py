@@ -10,6 +10,8 @@ import cv2
 from ..core.errors import MoopError, RecordingError
 from ..core.expected import ExpectedViews
 from ..core.gcode import read_gcode
+from ..core.meshroad import MeshRoad
+from ..core.solid import read_solid
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
 
@@ -21,6 +23,7 @@ from ..machine.renderers import open_renderer
 @click.option("--position", help="Where the machine stands then, X,Y,Z in mm; the bed's reference position if left out.")
 @click.option("--complete", is_flag=True, help="The complete print.")
 @click.option("--distorted", is_flag=True, help="In the frame's own pixels, lens distortion included.")
+@click.option("--mesh", type=click.Path(path_type=Path), help="Draw this model (STL, OBJ, 3MF) instead of the beads.")
 @click.option("-o", "out", required=True, type=click.Path(path_type=Path), help="The PNG to write: 0 or 255.")
 def mask(
     recording: Path,
@@ -29,6 +32,7 @@ def mask(
     position: str | None,
     complete: bool,
     distorted: bool,
+    mesh: Path | None,
     out: Path,
 ) -> None:
     """Write what the camera must see of the print in RECORDING at one moment."""
@@ -46,8 +50,12 @@ def mask(
         camera = camera.undistorted()
     with opened.job_path() as path:
         toolpath = read_gcode(path)
+    solid = None if mesh is None else read_solid(mesh).placed_on(toolpath)
+    for note in () if solid is None else solid.notes:
+        click.echo(note, err=True)
     with open_renderer() as renderer:
-        expected = ExpectedViews(toolpath, camera, bed, renderer).at(file_pos or 0, position_mm)
+        road = renderer if solid is None else MeshRoad(renderer, solid)
+        expected = ExpectedViews(toolpath, camera, bed, road).at(file_pos or 0, position_mm)
         write_png(out, expected.complete if complete else expected.mask)
 
 
