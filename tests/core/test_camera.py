@@ -1,0 +1,128 @@
+"""A camera stays the same camera at another resolution, and turned as OctoPrint turns its pictures."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+
+from octoprint_moop.core.camera import BedMotion, Camera
+from octoprint_moop.core.errors import CameraError
+from octoprint_moop.core.lens import outermost_ray, radial_px, tilt
+from octoprint_moop.core.orientation import Orientation
+from octoprint_moop.core.raster import CvRenderer
+from tests.made import LENSES, camera_at, vase
+
+POINTS = np.random.default_rng(3).uniform((60, 60, 0), (140, 140, 40), (200, 3))
+ALL = [Orientation(*flags) for flags in itertools.product((False, True), repeat=3)]
+
+
+def eye(lens="5 coefficients"):
+    return camera_at((180, -60, 110), (100, 100, 10), lens)
+
+
+def test_a_quarter_turn_is_counter_clockwise_and_comes_after_the_flips():
+    picture = np.array([[1, 2, 3], [4, 5, 6]])
+    assert Orientation(rotate_90=True).apply(picture).tolist() == [[3, 6], [2, 5], [1, 4]]
+    assert Orientation(flip_h=True).apply(picture).tolist() == [[3, 2, 1], [6, 5, 4]]
+    assert Orientation(flip_v=True).apply(picture).tolist() == [[4, 5, 6], [1, 2, 3]]
+    assert Orientation(True, False, True).apply(picture).tolist() == [[1, 4], [2, 5], [3, 6]]
+
+
+@pytest.mark.parametrize("orientation", ALL)
+def test_what_was_turned_can_be_turned_back(orientation):
+    picture = np.random.default_rng(0).integers(0, 255, (6, 9, 3), np.uint8)
+    assert np.array_equal(orientation.undo(orientation.apply(picture)), picture)
+
+
+@pytest.mark.parametrize("lens", [name for name in LENSES if name != "14 coefficients"])
+@pytest.mark.parametrize("orientation", ALL)
+def test_the_turned_camera_sees_points_where_the_turned_picture_shows_them(orientation, lens):
+    camera = eye(lens)
+    if orientation.flip_h != orientation.flip_v:
+        with pytest.raises(CameraError, match="mirror"):
+            orientation.camera(camera)
+        return
+    width, height = camera.image_size_px
+    x, y = camera.project(POINTS).T
+    if orientation.flip_h:
+        x = width - 1 - x
+    if orientation.flip_v:
+        y = height - 1 - y
+    if orientation.rotate_90:
+        x, y = y, width - 1 - x
+    assert np.allclose(orientation.camera(camera).project(POINTS), np.stack([x, y], axis=1), atol=1e-6)
+
+
+def test_the_mask_of_the_turned_camera_is_the_turned_mask():
+    orientation = Orientation(True, True, True)
+    straight = CvRenderer().birth_map(vase(), eye(), np.zeros(3)) > 0
+    turned = CvRenderer().birth_map(vase(), orientation.camera(eye()), np.zeros(3)) > 0
+    assert (orientation.apply(straight) ^ turned).sum() <= 3
+
+
+def test_a_tilted_sensor_is_refused_and_not_turned_wrongly():
+    with pytest.raises(CameraError, match="tilted"):
+        Orientation(rotate_90=True).camera(eye("14 coefficients"))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_another_resolution_shows_the_same_view(lens):
+    camera = eye(lens)
+    double = camera.resized((1280, 960))
+    # the picture's corner lies half a pixel before the first centre, at both resolutions
+    assert np.allclose((double.project(POINTS) + 0.5) / 2, camera.project(POINTS) + 0.5, atol=1e-6)
+    small = CvRenderer().birth_map(vase(), camera, np.zeros(3)) > 0
+    large = CvRenderer().birth_map(vase(), double, np.zeros(3)) > 0
+    shrunk = cv2.resize(large.astype(np.float32), (640, 480), interpolation=cv2.INTER_AREA)
+    assert not small[shrunk == 0].any()
+    assert abs(shrunk.sum() - small.sum()) < 0.02 * small.sum()
+
+
+def test_another_shape_of_picture_is_refused():
+    with pytest.raises(CameraError, match="another shape"):
+        eye().resized((1280, 720))
+
+
+@pytest.mark.parametrize("lens", ["5 coefficients", "8 coefficients", "fisheye"])
+def test_the_lens_reaches_out_to_where_its_polynomial_turns_back(lens):
+    camera = eye(lens)
+    edge = outermost_ray(camera)
+    tangent = np.linspace(0.01, edge, 50)
+    rays = np.stack([tangent, 0 * tangent, 1 + 0 * tangent], axis=1)
+    plain = Camera((640, 480), np.eye(3), camera.distortion * [1, 1, 0, 0, *[1] * (camera.distortion.size - 4)]
+                   if camera.model == "pinhole" else camera.distortion, np.zeros(3), np.zeros(3), camera.model)  # fmt: skip  # noqa: E501
+    assert np.allclose(plain.project(rays)[:, 0], radial_px(camera, tangent), atol=1e-9)
+    assert (np.diff(plain.project(rays)[:, 0]) > -1e-6).all()
+
+
+def test_a_tilt_is_the_one_of_opencv():
+    camera = eye("14 coefficients")
+    without = Camera(camera.image_size_px, camera.K, camera.distortion[:12], camera.rvec, camera.tvec_mm)
+    flat = np.linalg.inv(camera.K) @ np.vstack([without.project(POINTS).T, np.ones(len(POINTS))])
+    tilted = camera.K @ tilt(camera) @ flat
+    assert np.allclose((tilted[:2] / tilted[2]).T, camera.project(POINTS), atol=1e-6)
+
+
+def test_a_bed_moves_the_print_against_the_machine():
+    assert BedMotion("fixed", (1, 2, 3)).room_from_print_mm((9, 9, 9)).tolist() == [0, 0, 0]
+    assert BedMotion("y", (0, 200, 0)).room_from_print_mm((9, 150, 9)).tolist() == [0, 50, 0]
+    assert BedMotion("z", (0, 0, 10)).room_from_print_mm((9, 9, 30)).tolist() == [0, 0, -20]
+    with pytest.raises(CameraError, match="diagonal"):
+        BedMotion("diagonal")
+
+
+def test_numbers_that_are_no_camera_are_refused_in_words():
+    good = eye().to_json()
+    for key, value, said in (
+        ("K", [[1, 2], [3, 4]], "shape"), ("K", "abc", "list of numbers"), ("K", np.diag([-600, 600, 1]).tolist(), "focal"),
+        ("distortion", [0.1] * 6, "distortion"), ("rvec", [0, 0, float("nan")], "finite"), ("tvec_mm", None, "tvec_mm"),
+        ("image_size_px", [0, 480], "0 x 480"), ("image_size_px", 640, "width, height"), ("model", "mirror", "mirror"),
+    ):  # fmt: skip
+        with pytest.raises(CameraError, match=said):
+            Camera.from_json({**good, key: value})
+    assert Camera.from_json(good).to_json() == good
+    fisheye = eye("fisheye").to_json()
+    assert Camera.from_json(fisheye).to_json() == fisheye
