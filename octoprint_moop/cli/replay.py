@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from ..core.errors import SettingsError
 from ..core.gcode import read_gcode
 from ..core.inspection import Check, Inspector, Summary
+from ..core.settings import Settings, read_value
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
 
@@ -16,20 +19,33 @@ from ..machine.renderers import open_renderer
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="JSON lines on standard output: a check each, then a summary.")
-def replay(recording: Path, as_json: bool) -> None:
+@click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="A setting other than its default.")
+def replay(recording: Path, as_json: bool, changes: tuple[str, ...]) -> None:
     """Run the live plugin's pipeline over RECORDING, in time order and without looking ahead."""
+    settings = _settings(changes)
     opened = Recording.open(recording)
     with opened.job_path() as path:
         toolpath = read_gcode(path)
     checks: list[Check] = []
     with open_renderer() as renderer:
-        inspector = Inspector(opened.header, toolpath, renderer, reference_bgr=opened.reference())
+        inspector = Inspector(opened.header, toolpath, renderer, settings, opened.reference())
         for moment in opened.moments:
             check = inspector.check(opened.frame(moment), moment)
             checks.append(check)
             click.echo(json.dumps(check.to_json()) if as_json else _sentence(check))
     summary = Summary.of(checks)
     click.echo(json.dumps(summary.to_json()) if as_json else _summary_sentence(summary))
+
+
+def _settings(changes: tuple[str, ...]) -> Settings:
+    """Raises SettingsError naming the setting that is unknown or out of its range."""
+    values = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise SettingsError(f"--set {change}: write KEY=VALUE, as in sensitivity=high.")
+        values[name.strip()] = read_value(name.strip(), value.strip())
+    return replace(Settings(), **values)
 
 
 def _sentence(check: Check) -> str:

@@ -86,20 +86,21 @@ class AdaptiveSegmenter:
         self._plate = Plate(picture, known)
 
     def _colours(self, frame_bgr: Optional[np.ndarray] = None, expected: Optional[Expected] = None) -> ColourModel:
-        """The colours learned; before any, those of this frame where material must lie and the bed does not show."""
-        if self._filament is None and frame_bgr is not None and expected is not None:
-            colours = opponent(frame_bgr)
+        """The colours learned; before any, those of this frame: matter where it must lie and the bed does not show."""
+        if frame_bgr is None or expected is None or (self._filament is not None and self._background.any()):
+            if self._model is None:
+                filament = np.zeros_like(self._background) if self._filament is None else self._filament
+                self._model = ColourModel(filament, self._background)
+            return self._model
+        colours, filament, background = opponent(frame_bgr), self._filament, self._background
+        if not background.any():
+            background = count_colours(colours, expected.complete == 0)
+        if filament is None:
             lies = expected.mask > 0
-            background = self._background
             if self._plate is not None and self._plate.known.shape == lies.shape:
                 lies &= _distance(colours, self._plate.colours) > _CHANGED
-            if not background.any():
-                background = count_colours(colours, expected.complete == 0)
-            return ColourModel(count_colours(colours, lies), background)
-        if self._model is None:
-            filament = np.zeros_like(self._background) if self._filament is None else self._filament
-            self._model = ColourModel(filament, self._background)
-        return self._model
+            filament = count_colours(colours, lies)
+        return ColourModel(filament, background)
 
 
 def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:

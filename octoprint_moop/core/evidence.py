@@ -104,13 +104,15 @@ def find(
     near_matter = cv2.dilate(matter, kernel) > 0
     near_observed = cv2.dilate(observed, kernel) > 0
     known, seen, wanted = ignored == 0, observed > 0, matter > 0
-    lost = memory.established(wanted) & ~near_observed & known
+    # a lone line of a bead's width is seen or not as the light falls: only what is wider can be lost
+    wide = cv2.morphologyEx(matter, cv2.MORPH_OPEN, kernel) > 0
+    established = memory.established(wanted) & wide & known
+    lost = established & ~near_observed
     stray = seen & ~near_matter & known & ~memory.chronic()
     stray = _without_specks(stray)
 
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
     counts = _Counts(print_map, len(scopes))
-    established = memory.established(wanted) & known
     expected_px = counts.of(wanted & known)
     total_px = counts.of((expected.birth > 0) & known)
     standing_px, lost_px = counts.of(established), counts.of(lost)

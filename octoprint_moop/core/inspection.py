@@ -16,7 +16,7 @@ from .errors import FrameError, SegmentationError
 from .evidence import find
 from .expected import Expected, MaskRenderer
 from .header import Header, Moment
-from .segment import segment_hsv
+from .settings import Settings
 from .toolpath import Toolpath
 from .view import View
 
@@ -75,13 +75,13 @@ class Inspector:
         header: Header,
         toolpath: Toolpath,
         renderer: MaskRenderer,
-        sensitivity: str = "medium",
+        settings: Settings = Settings(),
         reference_bgr: np.ndarray | None = None,
     ) -> None:
-        if header.material is None:
+        if header.material is None and settings.segmentation == "thresholds":
             raise SegmentationError("The filament's colour is not set. Click on it in the set-up.")
         self._header, self._toolpath, self._renderer = header, toolpath, renderer
-        self._sensitivity = sensitivity
+        self._settings = settings
         self._reference_bgr = reference_bgr
         self._views: dict[str | None, View] = {}
         self._tracks: dict[int, Track] = {}
@@ -109,19 +109,20 @@ class Inspector:
         if steady.moved:
             return Check(moment, CAMERA_MOVED, reason=steady.moved)
         expected = view.expected(moment)
-        observed = segment_hsv(steady.frame, self._header.material)
+        seen = view.segmenter.observe(steady.frame, expected)
+        observed = seen.mask
         hidden = view.occluded(steady, cv2.bitwise_or(observed, expected.mask))
-        ignored = cv2.bitwise_or(steady.outside, hidden)
+        ignored = cv2.bitwise_or(cv2.bitwise_or(steady.outside, hidden), seen.unsure)
         comparison = compare(expected.mask, observed, expected.complete, ignored)
         self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
         if hidden.any():
             return Check(moment, UNUSABLE, comparison, reason="Something stands in the view: a hand, or a tool?")
         view.accept(steady)
-        return self._judge(view, moment, expected, observed, ignored, comparison)
+        return self._judge(view, moment, steady.frame, expected, observed, ignored, comparison)
 
     def _judge(
-        self, view: View, moment: Moment, expected: Expected, observed: np.ndarray, ignored: np.ndarray,
-        comparison: Comparison,
+        self, view: View, moment: Moment, frame_bgr: np.ndarray, expected: Expected, observed: np.ndarray,
+        ignored: np.ndarray, comparison: Comparison,
     ) -> Check:  # fmt: skip
         """Weigh what differs, for the whole print and for each object, and learn from it where all is well."""
         print_map, memory = view.print_map(moment), view.memory(moment)
@@ -131,11 +132,12 @@ class Inspector:
         outcomes = []
         for evidence in findings.scopes:
             track = self._tracks.get(evidence.object_id, Track())
-            outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._sensitivity)
+            outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._settings.sensitivity)
             outcomes.append(outcome)
         worst = max(outcomes, key=_weight)
         if worst.verdict == OK:
             memory.learn(expected.mask > 0, observed > 0, ignored == 0)
+            view.segmenter.learn(frame_bgr, expected)
             for evidence in findings.scopes:
                 self._tracks[evidence.object_id] = learn(self._tracks[evidence.object_id], evidence)
         diagnoses = {
@@ -175,7 +177,7 @@ class Inspector:
             first = moment.camera is None or moment.camera == self._header.cameras[0][0]
             self._views[moment.camera] = View(
                 self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
-                self._reference_bgr if first else None,
+                self._header.material, self._settings.segmentation, self._reference_bgr if first else None,
             )  # fmt: skip
         return self._views[moment.camera]
 

@@ -11,6 +11,7 @@ VERSION = 1
 """Format of the stored settings. Raise it together with a new entry in MIGRATIONS."""
 
 ACTIONS = ("none", "notify", "pause", "cancel", "cancel_object")
+SEGMENTATIONS = ("adaptive", "thresholds")
 SENSITIVITIES = ("low", "medium", "high")
 CAPTURES = ("stand", "slicer")
 
@@ -38,6 +39,9 @@ class Settings:
 
     watch_prints: bool = switch(True, "Watch every print from its start.")
     on_failed: str = choice("pause", ACTIONS, "What to do when a print has failed.")
+    segmentation: str = choice(
+        "adaptive", SEGMENTATIONS, "How filament is told from the rest: by what this print has shown, or by the colour limits alone."
+    )
     sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 
     webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .adaptive import AdaptiveSegmenter
 from .camera import Camera
 from .errors import FrameError
 from .evidence import Memory
 from .expected import KEPT_POSES, Expected, ExpectedViews, MaskRenderer, PrintMap
 from .header import Moment, Printer
 from .light import Light
+from .segment import HsvThresholds, Segmenter, ThresholdSegmenter
 from .stabilise import STILL, CameraTurn, Stabiliser
 from .toolpath import Toolpath
 from .usable import Occluders, refuse_unusable
@@ -40,12 +42,17 @@ class View:
 
     def __init__(
         self, camera: Camera, printer: Printer, toolpath: Toolpath, renderer: MaskRenderer,
-        reference_bgr: np.ndarray | None,
+        material: HsvThresholds | None, segmentation: str, reference_bgr: np.ndarray | None,
     ) -> None:  # fmt: skip
         self._camera, self._printer = camera, printer
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer)
         self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._reference_position_mm = printer.bed.reference_mm
+        self.segmenter: Segmenter
+        if segmentation == "thresholds" and material is not None:
+            self.segmenter = ThresholdSegmenter(material)
+        else:
+            self.segmenter = AdaptiveSegmenter(material, self._reference_bgr)
         self._previous_bgr: np.ndarray | None = None
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL

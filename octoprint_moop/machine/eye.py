@@ -30,6 +30,7 @@ from ..core.header import Header, Moment
 from ..core.inspection import Inspector
 from ..core.raster import CvRenderer
 from ..core.segment import HsvThresholds, segment_hsv
+from ..core.settings import read_settings
 from .pipe import receive, send
 from .recording import Recording
 from .renderers import open_renderer
@@ -58,7 +59,7 @@ class Eye:
         blobs: list[bytes],
         job: str,
         header: dict[str, Any],
-        sensitivity: str,
+        settings: dict[str, Any],
         cache: str,
         keep_as: str | None = None,
         recording: str | None = None,
@@ -66,6 +67,7 @@ class Eye:
         """Get ready to watch a print: read the G-code and make the inspector.
 
         job       : path of the G-code file
+        settings  : the user's choices, by name
         blobs     : the empty bed's picture, JPEG, or nothing
         keep_as   : where to put a packed copy of the job, for the recording
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
@@ -76,7 +78,7 @@ class Eye:
             _pack(Path(job), Path(keep_as))
         reference = decode(blobs[0]) if blobs else None
         self._inspector = Inspector(
-            Header.from_json(header), toolpath, self._draw(), sensitivity=sensitivity, reference_bgr=reference
+            Header.from_json(header), toolpath, self._draw(), read_settings(settings), reference
         )
         if recording:
             self._learn_again(Recording.open(recording))

@@ -12,7 +12,7 @@ import queue
 import threading
 import time
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Callable, Protocol
 
@@ -212,7 +212,7 @@ class Watch:
         try:
             result, _ = self._eye.ask(
                 "open", timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
-                job=current.job.path, header=self._header(current), sensitivity=self._settings.sensitivity,
+                job=current.job.path, header=self._header(current), settings=asdict(self._settings),
                 cache=str(self._cache), keep_as=str(packed) if packed is not None else None,
                 recording=str(folder) if again and folder is not None else None,
             )  # fmt: skip
@@ -397,7 +397,7 @@ class Watch:
         current = self._print
         if current is None or not current.ends:
             return
-        looks_different = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min", "sensitivity")
+        looks_different = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min", "segmentation", "sensitivity")
         if any(getattr(before, name) != getattr(settings, name) for name in looks_different):
             self._open(current, again=True)
         else:
