@@ -45,7 +45,8 @@ def assemble(
     object_id = Column("<i2", 1, folder and folder / "object_id.npy")
     for first, last in beads.blocks():
         block = beads.read(first, last)
-        length = np.linalg.norm(block[:, 3:6] - block[:, :3], axis=1)
+        dx, dy, dz = (block[:, 3 + i] - block[:, i] for i in range(3))
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
         area = block[:, 6] * mm3 / np.maximum(length, 1e-4)
         step = step_of(block[:, 5], first, starts, steps, nozzle_mm)
         block[:, 6], block[:, 7] = widths_and_heights(

@@ -27,7 +27,7 @@ from .store import Column
 from .toolpath import Toolpath
 from .walk import Walk
 
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 19
 HEAD_BYTES = 1 << 18
 LONGEST_LINE_BYTES = 1 << 20
 SHORT_RUN = 24  # rows; for fewer the interpreter is quicker than numpy
@@ -159,7 +159,7 @@ class _Reader:
         self.end_pos = Column("<i8", 1, folder and folder / "end_pos.npy")
 
     def read(self, chunk: bytes, length: int) -> None:
-        if chunk.count(b"\r") != chunk.count(b"\r\n"):
+        if b"\r" in chunk and chunk.count(b"\r") != chunk.count(b"\r\n"):
             self._read_by_line(chunk, length)
         else:
             self._read_by_rows(chunk, length)
@@ -282,7 +282,8 @@ def looks_relative(head: bytes) -> bool:
     """
     previous: float | None = None
     smaller = total = 0
-    for command, value in _E_MODE.findall(head):
+    for found in _E_MODE.finditer(head):
+        command, value = found.groups()
         if command:
             if total < LEAST_E_VALUES and not command.upper().startswith(b"G"):
                 return False

@@ -34,7 +34,15 @@ class Held:
 
     def of(self, first: int, last: int) -> np.ndarray:
         """(last - first,) float32, the values of beads [first, last)."""
-        return self.values[np.searchsorted(self.starts, np.arange(first, last), side="right") - 1]
+        return _spread(self.starts, self.values, first, last)
+
+
+def _spread(starts: np.ndarray, values: np.ndarray, first: int, last: int) -> np.ndarray:
+    """(last - first,): `values[i]` from `starts[i]` on, as a copy."""
+    low = int(np.searchsorted(starts, first, side="right")) - 1
+    high = int(np.searchsorted(starts, last, side="left"))
+    bounds = np.append(np.maximum(starts[low:high], first), last)
+    return np.repeat(values[low:high], np.diff(bounds))
 
 
 def layer_starts(beads: Column, said: Said) -> np.ndarray:
@@ -123,15 +131,13 @@ def layer_shapes(beads: Column, starts: np.ndarray) -> tuple[np.ndarray, np.ndar
     count = len(starts) - 1
     heights, low, high = np.empty(count, np.float32), np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
     for i, (first, last) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist())):
-        part = beads.read(first, min(last, first + CHUNK_ROWS))
-        low[i] = np.minimum(part[:, :2].min(axis=0), part[:, 3:5].min(axis=0))
-        high[i] = np.maximum(part[:, :2].max(axis=0), part[:, 3:5].max(axis=0))
-        z = part[:, 5]
+        x0, y0, _, x1, y1, z, _, _ = np.ascontiguousarray(beads.read(first, min(last, first + CHUNK_ROWS)).T)
+        low[i] = min(x0.min(), x1.min()), min(y0.min(), y1.min())
+        high[i] = max(x0.max(), x1.max()), max(y0.max(), y1.max())
         heights[i] = z.max()
         if z.max() - z.min() > 1e-4:
-            length = np.hypot(part[:, 3] - part[:, 0], part[:, 4] - part[:, 1])
             levels, which = np.unique(np.round(z, 3), return_inverse=True)
-            shares = np.bincount(which.ravel(), weights=length)
+            shares = np.bincount(which.ravel(), weights=np.hypot(x1 - x0, y1 - y0))
             if shares.max() >= 0.25 * shares.sum():
                 heights[i] = levels[shares.argmax()]
     return heights, low, high
@@ -153,8 +159,10 @@ def layer_steps(heights_mm: np.ndarray, usual_mm: float | None, nozzle_mm: float
 
 def step_of(z_mm: np.ndarray, first: int, starts: np.ndarray, steps_mm: np.ndarray, nozzle_mm: float) -> np.ndarray:
     """(n,) float32: height of the beads from `first` on, by their layers; in the first layer, over the bed."""
-    layer = np.searchsorted(starts, np.arange(first, first + len(z_mm)), side="right") - 1
-    return np.where(layer == 0, np.clip(z_mm, LOWEST_MM, HIGHEST_NOZZLES * nozzle_mm), steps_mm[layer])
+    step = _spread(starts[:-1], steps_mm, first, first + len(z_mm))
+    ground = max(min(int(starts[1]) - first, len(z_mm)), 0)
+    step[:ground] = np.clip(z_mm[:ground], LOWEST_MM, HIGHEST_NOZZLES * nozzle_mm)
+    return step
 
 
 def widths_and_heights(

@@ -169,7 +169,8 @@ class Walk:
         where = np.where((last_bead > 0)[:, None], self._position[last_bead, :2], machine.last_xy)
         rows = np.flatnonzero(self._travel)
         place = self._position[rows + 1, :2]
-        far = np.abs(place - where[rows]).max(axis=1, initial=0.0) >= FAR_MM
+        beyond = np.abs(place - where[rows])
+        far = np.maximum(beyond[:, 0], beyond[:, 1]) >= FAR_MM
         laid = machine.laid + self.beads_upto[rows[far]]
         for bead, end, (x, y) in zip(laid.tolist(), end_pos[rows[far]].tolist(), place[far].tolist()):
             machine.travels.add(bead - 1, end, x, y)
