@@ -1,0 +1,91 @@
+"""What is in the wheel, and that it installs beside OctoPrint as OctoPrint's plugin manager would do it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+from shutil import copytree, ignore_patterns
+
+import pytest
+
+from octoprint_moop.demo.server import DemoServer
+
+ROOT = Path(__file__).resolve().parents[1]
+NO_NETWORK = ("No matching distribution found for setuptools", "Failed to establish a new connection",
+              "Temporary failure in name resolution", "NameResolutionError", "ReadTimeoutError")  # fmt: skip
+
+
+def pip(python, *arguments):
+    """Runs pip; skips the test where there is no network, and fails with pip's own words where pip does."""
+    done = subprocess.run(
+        [str(python), "-m", "pip", "--disable-pip-version-check", *map(str, arguments)],
+        stdin=subprocess.DEVNULL, capture_output=True, text=True,
+    )  # fmt: skip
+    said = done.stdout + done.stderr
+    if done.returncode and any(words in said for words in NO_NETWORK):
+        pytest.skip("no package index can be reached")
+    assert done.returncode == 0, said[-3000:]
+    return said
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Built from a copy, so that nothing is left in the checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = copytree(ROOT, folder / "source", ignore=ignore_patterns(".git", ".venv*", "build", "*.egg-info", ".*_cache"))
+    pip(sys.executable, "wheel", "--no-deps", "--wheel-dir", folder, source)
+    return next(folder.glob("octoprint_moop-*.whl"))
+
+
+def test_the_wheel_holds_every_module_asset_and_template_and_nothing_else(wheel):
+    with zipfile.ZipFile(wheel) as packed:
+        found = {name for name in packed.namelist() if ".dist-info/" not in name}
+    suffixes = {".py", ".js", ".css", ".less", ".jinja2", ".gz", ".svg", ".png"}
+    package = ROOT / "octoprint_moop"
+    wanted = {
+        str(path.relative_to(ROOT)) for path in package.rglob("*")
+        if path.suffix in suffixes and "__pycache__" not in path.parts
+    }  # fmt: skip
+    assert found == wanted
+    assert any(name.startswith("octoprint_moop/templates/") for name in found)
+    assert "octoprint_moop/demo/job.gcode.gz" in found
+
+
+def test_the_wheel_names_its_plugin_its_command_its_licence_and_nothing_that_octoprint_pins(wheel):
+    with zipfile.ZipFile(wheel) as packed:
+        about = {Path(name).name: packed.read(name).decode() for name in packed.namelist() if ".dist-info/" in name}
+    assert "[octoprint.plugin]\nmoop = octoprint_moop" in about["entry_points.txt"]
+    assert "moop = octoprint_moop.cli:main" in about["entry_points.txt"]
+    assert "GNU AFFERO GENERAL PUBLIC LICENSE" in about["LICENSE"]
+    assert "AGPL-3.0-or-later" in about["METADATA"]
+    required = {
+        line.split(": ", 1)[1].split(";")[0].strip() for line in about["METADATA"].splitlines()
+        if line.startswith("Requires-Dist") and "extra ==" not in line
+    }  # fmt: skip
+    names = {"".join(c for c in text if c.isalnum() or c == "-").rstrip("0123456789") for text in required}
+    assert names == {"numpy", "opencv-python-headless", "trimesh", "click", "moderngl"}
+    assert not any("<" in text or "==" in text for text in required)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("octoprint", ["1.11.8", "2.0.0rc7"])
+def test_the_wheel_loads_beside_octoprint_in_an_empty_environment(wheel, octoprint, tmp_path):
+    if octoprint.startswith("1.") and sys.version_info >= (3, 14):
+        pytest.skip("OctoPrint 1.11 does not run on Python 3.14")
+    venv.create(tmp_path / "env", with_pip=True)
+    python = tmp_path / "env" / "bin" / "python"
+    pip(python, "install", "--quiet", "wheel")
+    pip(python, "install", "--quiet", "--prefer-binary", f"OctoPrint=={octoprint}", wheel)
+    assert "No broken requirements" in pip(python, "check")
+    with DemoServer(tmp_path / "base", octoprint_python=python) as server:
+        assert server.api("GET", "/api/version")["server"] == octoprint
+        plugins = {plugin["key"]: plugin for plugin in server.api("GET", "/plugin/pluginmanager/plugins")["plugins"]}
+        assert plugins["moop"]["enabled"] and plugins["moop"]["origin"] == "entry_point"
+        assert server.api("GET", "/plugin/moop/status")["watching"] is False
+        page = server.request("GET", "/").text
+        assert "tab_plugin_moop" in page
+        troubles = [line for line in server.log_text().splitlines() if "moop" in line and " - ERROR - " in line]
+        assert not troubles
