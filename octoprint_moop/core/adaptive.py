@@ -58,9 +58,8 @@ class AdaptiveSegmenter:
         seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2]), mask)
         return seen.within(frame_bgr.shape[:2], region)
 
-    def learn(self, frame_bgr: np.ndarray, expected: Expected) -> None:
+    def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Take this frame's look as that of filament and background. Only after a check in which all was well."""
-        observed = self.observe(frame_bgr, expected)
         colours = opponent(frame_bgr)
         inside = cv2.erode(expected.mask, np.ones((2 * _INSIDE_PX + 1,) * 2, np.uint8))
         filament = (inside > 0) & (observed.mask > 0) & (observed.unsure == 0)

@@ -21,6 +21,7 @@ from .toolpath import Toolpath
 from .view import View
 
 TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
+LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 
 
@@ -85,6 +86,7 @@ class Inspector:
         self._reference_bgr = reference_bgr
         self._views: dict[str | None, View] = {}
         self._tracks: dict[int, Track] = {}
+        self._good_checks = 0
         self.pictures: Pictures | None = None
 
     def expected(self, moment: Moment) -> Expected:
@@ -118,11 +120,17 @@ class Inspector:
         if hidden.any():
             return Check(moment, UNUSABLE, comparison, reason="Something stands in the view: a hand, or a tool?")
         view.accept(steady)
-        return self._judge(view, moment, steady.frame, expected, observed, ignored, comparison)
+        check = self._judge(view, moment, expected, observed, ignored, comparison)
+        if check.verdict == OK:
+            self._good_checks += 1
+            # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
+            if self._good_checks <= LEARN_AT_FIRST or self._good_checks % LEARN_EVERY == 0:
+                view.segmenter.learn(steady.frame, expected, seen)
+        return check
 
     def _judge(
-        self, view: View, moment: Moment, frame_bgr: np.ndarray, expected: Expected, observed: np.ndarray,
-        ignored: np.ndarray, comparison: Comparison,
+        self, view: View, moment: Moment, expected: Expected, observed: np.ndarray, ignored: np.ndarray,
+        comparison: Comparison,
     ) -> Check:  # fmt: skip
         """Weigh what differs, for the whole print and for each object, and learn from it where all is well."""
         print_map, memory = view.print_map(moment), view.memory(moment)
@@ -137,7 +145,6 @@ class Inspector:
         worst = max(outcomes, key=_weight)
         if worst.verdict == OK:
             memory.learn(expected.mask > 0, observed > 0, ignored == 0)
-            view.segmenter.learn(frame_bgr, expected)
             for evidence in findings.scopes:
                 self._tracks[evidence.object_id] = learn(self._tracks[evidence.object_id], evidence)
         diagnoses = {

@@ -163,8 +163,8 @@ class Segmenter(Protocol):
     def observe(self, frame_bgr: np.ndarray, expected: Expected | None) -> Observation:
         """frame_bgr : (H, W, 3) uint8; expected : what should be seen, None where nothing is known."""
 
-    def learn(self, frame_bgr: np.ndarray, expected: Expected) -> None:
-        """Called after a check in which all was well, and never again after the first suspicion."""
+    def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
+        """Called with what `observe` gave, only after a check in which all was well."""
 
 
 class ThresholdSegmenter:
@@ -177,5 +177,5 @@ class ThresholdSegmenter:
         mask = segment_hsv(frame_bgr, self._material)
         return Observation(mask, np.zeros_like(mask))
 
-    def learn(self, frame_bgr: np.ndarray, expected: Expected) -> None:
+    def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Nothing: the thresholds are the user's."""

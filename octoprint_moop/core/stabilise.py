@@ -149,7 +149,7 @@ class Stabiliser:
 
         far_px = 1.5 * SEARCH_STEP_PX
         elsewhere = [misfit(*offset) for offset in ((far_px, 0), (-far_px, 0), (0, far_px), (0, -far_px))]
-        if misfit(0, 0) < 0.6 * float(np.median(elsewhere)):
+        if misfit(0, 0) < 0.8 * min(elsewhere):
             return np.zeros(3)
         steps = range(-SEARCH_PX, SEARCH_PX + 1, SEARCH_STEP_PX)
         best = min(((right, down) for right in steps for down in steps), key=lambda offset: misfit(*offset))
