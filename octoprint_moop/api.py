@@ -13,6 +13,7 @@ from octoprint.plugin import BlueprintPlugin
 
 from .core.errors import MoopError, RecordingError
 from .machine import recorder
+from .machine.ledger import Ledger
 from .machine.watch import Watch
 from .machine.webcam import Webcam
 
@@ -25,6 +26,7 @@ class MoopApi(BlueprintPlugin):
     """Mixed into the plugin, whose attributes it uses. Every route names the permission that it needs."""
 
     _watch: Watch
+    _ledger: Ledger
     _webcam: Webcam
     _recordings: Path
 
@@ -43,17 +45,17 @@ class MoopApi(BlueprintPlugin):
     @BlueprintPlugin.route("/status", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def get_status(self) -> Any:
-        return flask.jsonify(self._watch.status)
+        return flask.jsonify(self._ledger.status)
 
     @BlueprintPlugin.route("/checks", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def get_checks(self) -> Any:
-        return flask.jsonify(checks=self._watch.checks)
+        return flask.jsonify(checks=self._ledger.checks)
 
     @BlueprintPlugin.route("/checks/<int:check_id>/<kind>", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def get_picture(self, check_id: int, kind: str) -> Any:
-        picture = self._watch.picture(check_id, kind) if kind in PICTURES else None
+        picture = self._ledger.picture(check_id, kind) if kind in PICTURES else None
         if picture is None:
             flask.abort(404, "This picture is not kept any more.")
         return _picture(picture, PICTURES[kind])
@@ -93,7 +95,7 @@ class MoopApi(BlueprintPlugin):
         """The mask, PNG, of a fresh frame, or of check number `check`, with thresholds not yet saved."""
         wanted = _body()
         check_id = wanted.get("check")
-        jpeg = self._watch.picture(check_id, "frame.jpg") if isinstance(check_id, int) else None
+        jpeg = self._ledger.picture(check_id, "frame.jpg") if isinstance(check_id, int) else None
         if jpeg is None:
             jpeg = self._webcam.grab(self._moop_settings.check_timeout_s)
         material = wanted if "hue_deg" in wanted else self._material(wanted)

@@ -12,6 +12,7 @@ from octoprint.events import Events
 from .api import MoopApi
 from .core.errors import SettingsError
 from .core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
+from .machine.ledger import Ledger
 from .machine.link import EyeLink
 from .machine.setups import Setups
 from .machine.watch import Job, Watch
@@ -41,9 +42,10 @@ class MoopPlugin(
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
         # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.
         self._watch_eye, self._bench_eye = EyeLink(), EyeLink()
+        self._ledger = Ledger(self._tell, self._plugin_version)
         self._watch = Watch(
-            self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache",
-            self._moop_settings, self._tell, self._plugin_version,
+            self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache", self._moop_settings,
+            self._ledger,
         )  # fmt: skip
 
     def on_after_startup(self) -> None:
@@ -74,6 +76,10 @@ class MoopPlugin(
                 watch.job_selected(self._file_manager.path_on_disk("local", payload["path"]))
         elif event == Events.PRINT_STARTED:
             watch.job_started(self._job(payload))
+        elif event == Events.PRINT_PAUSED:
+            watch.job_paused()
+        elif event == Events.PRINT_RESUMED:
+            watch.job_resumed()
         elif event == Events.PRINT_DONE:
             watch.job_over("done")
         elif event == Events.PRINT_CANCELLED:
@@ -163,6 +169,8 @@ class MoopPlugin(
             "octoprint.comm.protocol.gcode.queuing": self.on_gcode_queuing,
             "octoprint.comm.protocol.gcode.sent": self.on_gcode_sent,
             "octoprint.comm.protocol.gcode.received": self.on_gcode_received,
+            "octoprint.comm.protocol.atcommand.queuing": self.on_atcommand_queuing,
+            "octoprint.comm.protocol.scripts": self.on_script,
             "octoprint.access.permissions": self.permissions,
             "octoprint.events.register_custom_events": self.custom_events,
             "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
@@ -174,10 +182,8 @@ class MoopPlugin(
         subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
     ) -> Any:  # fmt: skip
         # Comments never come this far and texts may be rewritten: the position in the file is what a line is known by.
-        for tag in tags or ():
-            if tag.startswith("filepos:"):
-                return self._watch.holds.line_queuing(cmd, int(tag[8:]))
-        return None
+        file_pos = _file_pos(tags)
+        return None if file_pos is None else self._watch.holds.line_queuing(cmd, file_pos)
 
     def on_gcode_sent(
         self, comm: Any, phase: str, cmd: str, cmd_type: Any, gcode: str | None,
@@ -188,6 +194,20 @@ class MoopPlugin(
     def on_gcode_received(self, comm: Any, line: str, *args: Any, **kwargs: Any) -> str:
         self._watch.holds.line_received(line)
         return line
+
+    def on_atcommand_queuing(
+        self, comm: Any, phase: str, command: str, parameters: str, tags: Any = None, *args: Any, **kwargs: Any
+    ) -> None:
+        file_pos = _file_pos(tags)
+        if command == "moop" and file_pos is not None and self._moop_settings.capture == "slicer":
+            self._watch.holds.mark_queuing(file_pos)
+
+    def on_script(self, comm: Any, kind: str, name: str, *args: Any, **kwargs: Any) -> Any:
+        if kind == "gcode" and name == "beforePrintResumed":
+            heat = self._watch.actor.reheating()
+            if heat:
+                return heat, None
+        return None
 
     def permissions(self, *args: Any, **kwargs: Any) -> list[dict[str, Any]]:
         return [
@@ -200,7 +220,7 @@ class MoopPlugin(
         ]  # fmt: skip
 
     def custom_events(self, *args: Any, **kwargs: Any) -> list[str]:
-        return ["check", "suspect", "failed", "blind"]
+        return ["check", "suspect", "failed", "unusable", "camera_moved", "blind"]
 
     def backup_excludes(self, excluded: Any, *args: Any, **kwargs: Any) -> list[str]:
         return ["recordings", "cache"]
@@ -214,3 +234,11 @@ class MoopPlugin(
                 "pip": f"https://github.com/{user}/{repository}/archive/{{target_version}}.zip",
             }
         }  # fmt: skip
+
+
+def _file_pos(tags: Any) -> int | None:
+    """Where the line ends in the file that is printed; None for a line that is not the file's."""
+    for tag in tags or ():
+        if tag.startswith("filepos:"):
+            return int(tag[8:])
+    return None

@@ -42,6 +42,10 @@ class Settings:
     segmentation: str = choice(
         "adaptive", SEGMENTATIONS, "How filament is told from the rest: by what this print has shown, or by the colour limits alone."
     )
+    cool_after_min: float = number(
+        0.0, 0.0, 1440.0, "min", "Turn the hot end off when a pause of ours lasts longer than this; 0 for never. "
+        "It is heated again before the print goes on."
+    )
     sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 
     webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")
@@ -50,6 +54,9 @@ class Settings:
     )
     every_layers: int = number(1, 1, 1000, "layers", "Look after every so many layers.")
     min_interval_s: float = number(0.0, 0.0, 3600.0, "s", "Look at most once in this time.")
+    longest_s: float = number(
+        300.0, 0.0, 7200.0, "s", "Look within a layer, too, when the last look is longer ago than this; 0 for never."
+    )
     settle_s: float = number(0.3, 0.0, 10.0, "s", "How long the printer stands still before the picture is taken.")
     settle_timeout_s: float = number(
         120.0, 1.0, 600.0, "s", "How long to wait for the printer to finish its moves before the print goes on unchecked."

@@ -71,7 +71,7 @@ class Eye:
         blobs     : the empty bed's picture, JPEG, or nothing
         keep_as   : where to put a packed copy of the job, for the recording
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
-        Answers layers, ends (file position of each layer's end), objects, notes, renderer.
+        Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, notes, renderer.
         """
         toolpath = read_gcode(Path(job), cache_dir=Path(cache))
         if keep_as and not Path(keep_as).exists():
@@ -85,7 +85,9 @@ class Eye:
         return {
             "layers": toolpath.layers,
             "ends": toolpath.layer_end_pos.tolist(),
+            "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
+            "cancel_commands": list(toolpath.cancel_commands),
             "notes": list(toolpath.notes),
             "renderer": self._draw().name,
         }, []

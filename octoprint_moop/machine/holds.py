@@ -27,6 +27,7 @@ class Printer(Protocol):
     """The part of OctoPrint's printer interface that is used here."""
 
     def set_job_on_hold(self, value: bool, blocking: bool = True) -> Any: ...
+    def commands(self, commands: list[str], *, tags: set[str]) -> None: ...
 
 
 @dataclass(eq=False)
@@ -36,11 +37,13 @@ class Hold:
     over     : set when waiting is over: the printer reported its position, or the hold has lost its purpose
     dropped  : why it has lost its purpose, "" while it has not
     lost     : the connection went, and OctoPrint's hold with it
+    marked   : the slicer's own mark brought it about, with the head where the user wants it
     """
 
     file_pos: int
     layer: int
     tag: str
+    marked: bool = False
     since_s: float = field(default_factory=time.monotonic)
     armed: bool = False
     position_mm: tuple[float, float, float] | None = None
@@ -91,8 +94,11 @@ class Holds:
     # --- for the watching thread ----------------------------------------------------------------------------------
 
     def plan(self, ends: Sequence[int], every_layers: int = 1, after_pos: float = -1, not_before_s: float = 0.0) -> None:
-        """Hold at the end of every so many layers, from `after_pos` on, not before `not_before_s` (monotonic)."""
-        wanted = {pos: layer for layer, pos in enumerate(ends) if (layer + 1) % every_layers == 0}
+        """Hold at the end of every so many layers, from `after_pos` on, not before `not_before_s` (monotonic).
+
+        every_layers : 0 to hold at the slicer's marks only
+        """
+        wanted = {pos: layer for layer, pos in enumerate(ends) if every_layers and (layer + 1) % every_layers == 0}
         plan = _Plan(ends, wanted, sorted(wanted), not_before_s)
         self._plan = plan
         self._next_pos = plan.after(after_pos)
@@ -154,6 +160,16 @@ class Holds:
             hold.position_mm = (float(x), float(y), float(z))
             hold.over.set()
 
+    def mark_queuing(self, file_pos: int) -> None:
+        """The file has a mark of the slicer's here: the layer before it is complete, and the head is parked."""
+        plan = self._plan
+        if plan is None or self._hold is not None or time.monotonic() < plan.not_before_s:
+            return
+        layer = max(bisect.bisect_right(plan.ends, file_pos) - 1, 0)
+        hold = self._hold_job(plan, file_pos, layer, marked=True)
+        if hold is not None:  # held, so these two go out at once, behind what is on its way
+            self._printer.commands(["M400", "M114"], tags={hold.tag})
+
     def _take(self, file_pos: int) -> Hold | None:
         plan = self._plan
         if plan is None or self._hold is not None:
@@ -167,7 +183,10 @@ class Holds:
         if layer is None or (time.monotonic() < plan.not_before_s and not self._asked):
             self._next_pos = plan.after(file_pos)
             return None
-        hold = Hold(file_pos, layer, f"{SETTLE_TAG}:{next(self._numbers)}")
+        return self._hold_job(plan, file_pos, layer)
+
+    def _hold_job(self, plan: _Plan, file_pos: int, layer: int, marked: bool = False) -> Hold | None:
+        hold = Hold(file_pos, layer, f"{SETTLE_TAG}:{next(self._numbers)}", marked)
         self._hold, self._asked = hold, False
         try:
             answer = self._printer.set_job_on_hold(True, blocking=False)

@@ -57,10 +57,6 @@ class Recorder:
             except OSError as error:
                 self._give_up(error)
 
-    def name_frame(self) -> str:
-        """The name that the next frame will have."""
-        return f"frames/{self._frames:06d}.jpg"
-
     def add(self, jpeg: bytes, moment: dict[str, Any], check: dict[str, Any] | None) -> None:
         """One frame with its moment, and what was concluded, None where nothing was. The frame's name is `moment`'s."""
         self._frames += 1

@@ -1,8 +1,7 @@
 """The watch: the one thread that owns the conversation with printer, camera and eye while a print runs.
 
-Everything that happens is put into its mailbox as a call and done in turn. Others read the last published status and
-checks, which are never changed once published. Whatever fails here, the print goes on and the status says why nobody
-is watching.
+Everything that happens is put into its mailbox as a call and done in turn; what others may know of it stands in the
+ledger. Whatever fails here, the print goes on and the ledger says why nobody is watching.
 """
 
 from __future__ import annotations
@@ -11,14 +10,15 @@ import logging
 import queue
 import threading
 import time
-from collections import OrderedDict
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Callable, Protocol
+from typing import Any, Callable
 
 from ..core.errors import FrameError, MoopError
 from ..core.settings import Settings
+from .acting import Actor
 from .holds import Hold, Holds
+from .ledger import IDLE, Ledger
 from .link import EyeGone, EyeLink, Interrupted
 from .recorder import Recorder
 from .webcam import Webcam
@@ -27,18 +27,11 @@ log = logging.getLogger("octoprint.plugins.moop.watch")
 
 OPEN_TIMEOUT_S = 900.0
 REVIVALS = 5
-KEPT_PICTURES = 60
-IDLE = "No print is running."
-Tell = Callable[[str, dict[str, Any]], None]
-
-
-class Printer(Protocol):
-    """The part of OctoPrint's printer interface that is used here and in `holds`."""
-
-    def set_job_on_hold(self, value: bool, blocking: bool = True) -> Any: ...
-    def get_state_id(self) -> str: ...
-    def pause_print(self, *, tags: set[str]) -> None: ...
-    def cancel_print(self, *, tags: set[str]) -> None: ...
+TICK_S = 2.0
+REST_S = 600.0
+"""After so long without a print the eye is closed, and its memory given back."""
+HEAD_MM = 40.0
+"""As far around the nozzle the head may cover what lies below."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +53,20 @@ class _Print:
     began_s: float = field(default_factory=time.monotonic)
     recorder: Recorder | None = None
     ends: list[int] = field(default_factory=list)
-    layer: int | None = None
+    bounds_mm: list[list[float]] = field(default_factory=list)
     born: int = 0
     revivals: int = 0
     last_pos: float = -1
+    looked_s: float | None = None
     last_jpeg: bytes = b""
-    told: set[tuple[Any, ...]] = field(default_factory=set)
-    action: str = "none"
-    reason: str = ""
+    frames: int = 0
     switched_off: bool = False
+
+    def stands_clear(self, position_mm: tuple[float, float, float]) -> bool:
+        """The head is beside the print, not above it."""
+        (x0, y0, _), (x1, y1, _) = self.bounds_mm
+        x, y, _ = position_mm
+        return not (x0 - HEAD_MM < x < x1 + HEAD_MM and y0 - HEAD_MM < y < y1 + HEAD_MM)
 
 
 @dataclass(frozen=True)
@@ -79,56 +77,29 @@ class _Look:
 
 
 class Watch:
-    """Watches prints. Every public method may be called from any thread and returns at once.
-
-    tell : called with (kind, payload) for `status`, `check`, `failed`, `suspect`, `blind`; from this thread only
-    """
+    """Watches prints. Every public method may be called from any thread and returns at once."""
 
     def __init__(
         self,
-        printer: Printer,
+        printer: Any,
         webcam: Webcam,
         eye: EyeLink,
         recordings: Path,
         cache: Path,
         settings: Settings,
-        tell: Tell,
-        version: str = "",
+        ledger: Ledger,
     ) -> None:
-        self._printer, self._webcam, self._eye = printer, webcam, eye
+        """printer : OctoPrint's; what is used of it is said by the protocols in `holds` and `acting`"""
+        self._webcam, self._eye = webcam, eye
         self._recordings, self._cache = recordings, cache
-        self._settings, self._tell, self._version = settings, tell, version
+        self._settings, self._ledger = settings, ledger
         self._mailbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self.holds = Holds(printer, lambda hold: self._mailbox.put(lambda: self._look(hold)))
+        self.actor = Actor(printer)
         self._print: _Print | None = None
         self._job: Job | None = None
-        self._blind: str | None = IDLE
-        self._renderer = ""
-        self._pictures: OrderedDict[int, dict[str, bytes]] = OrderedDict()
-        self._checks: tuple[dict[str, Any], ...] = ()
-        self._checked_s = 0.0
-        self._status: dict[str, Any] = self._make_status()
+        self._idle_since_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="moop.watch", daemon=True)
-
-    # --- read by others -------------------------------------------------------------------------------------------
-
-    @property
-    def status(self) -> dict[str, Any]:
-        """FORMATS.md, section 5."""
-        status = self._status
-        if status["last_check"] is None:
-            return status
-        age_s = round(time.monotonic() - self._checked_s, 1)
-        return {**status, "last_check": {**status["last_check"], "age_s": age_s}}
-
-    @property
-    def checks(self) -> tuple[dict[str, Any], ...]:
-        """All checks of this print, or of the last one until the next begins."""
-        return self._checks
-
-    def picture(self, check_id: int, kind: str) -> bytes | None:
-        """frame.jpg, seen.png, expected.png or ignored.png of a recent check; None where it is not kept any more."""
-        return self._pictures.get(check_id, {}).get(kind)
 
     # --- told by others -------------------------------------------------------------------------------------------
 
@@ -160,6 +131,14 @@ class Watch:
         self.holds.drop(how, lost)
         self._mailbox.put(lambda: self._end(how))
 
+    def job_paused(self) -> None:
+        """Ours or not: the hot end cools after a while only where we are the cause."""
+        if self._ledger.status["action"] == "pause" and self._settings.cool_after_min:
+            self.actor.cool_later(self._settings.cool_after_min * 60)
+
+    def job_resumed(self) -> None:
+        self._mailbox.put(self._go_on)
+
     def apply(self, settings: Settings) -> None:
         self._mailbox.put(lambda: self._apply(settings))
 
@@ -171,16 +150,17 @@ class Watch:
         return self.holds.ask()
 
     def pardon(self) -> None:
-        self._mailbox.put(self._pardon)
+        """What was found is not a failure: take it back."""
+        self._mailbox.put(lambda: self._ledger.note(action="none", reason=""))
 
     # --- the thread -----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while True:
             try:
-                todo = self._mailbox.get(timeout=2.0)
+                todo = self._mailbox.get(timeout=TICK_S)
             except queue.Empty:
-                todo = self._look_after_holds
+                todo = self._tick
             if todo is None:
                 return
             try:
@@ -190,18 +170,18 @@ class Watch:
 
     def _begin(self, job: Job) -> None:
         self._print = current = _Print(job)
-        self._checks, self._pictures = (), OrderedDict()
         self.holds.plan_none()
+        self.actor.begin()
+        self._ledger.begin(job.name, blind="The G-code is being read.")
         if job.why_not or job.header is None or job.path is None:
-            self._publish(blind=job.why_not or "The camera is not calibrated. Run the set-up.")
+            self._ledger.note(blind=job.why_not or "The camera is not calibrated. Run the set-up.")
             return
         if not self._settings.watch_prints:
-            self._publish(blind="Watching is switched off in the settings.")
+            self._ledger.note(blind="Watching is switched off in the settings.")
             return
-        self._publish(blind="The G-code is being read.")
-        header = self._header(current)
         if self._settings.record:
-            current.recorder = Recorder(self._recordings, job.name, header, self._settings.recordings_mb * 1_000_000)
+            budget_bytes = self._settings.recordings_mb * 1_000_000
+            current.recorder = Recorder(self._recordings, job.name, self._header(current), budget_bytes)
         self._open(current)
 
     def _open(self, current: _Print, again: bool = False) -> None:
@@ -209,10 +189,12 @@ class Watch:
         assert current.job.path is not None
         folder = current.recorder.folder if current.recorder is not None else None
         packed = folder / "job.gcode.gz" if folder is not None else None
+        # The packed copy is what is being printed, whatever has become of the file since.
+        job = packed if again and packed is not None and packed.exists() else current.job.path
         try:
             result, _ = self._eye.ask(
                 "open", timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
-                job=current.job.path, header=self._header(current), settings=asdict(self._settings),
+                job=str(job), header=self._header(current), settings=asdict(self._settings),
                 cache=str(self._cache), keep_as=str(packed) if packed is not None else None,
                 recording=str(folder) if again and folder is not None else None,
             )  # fmt: skip
@@ -222,29 +204,35 @@ class Watch:
             self._revive_later(current, str(error))
             return
         except MoopError as error:
-            self._publish(blind=str(error))
+            self._ledger.note(blind=str(error))
             return
         current.born = self._eye.births
-        current.ends, self._renderer = result["ends"], result["renderer"]
+        current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
         for note in result["notes"]:
             log.info("%s: %s", current.job.name, note)
+        if not again:
+            self.actor.begin(result["objects"], result["cancel_commands"])
         self._plan(current)
-        self._publish(blind=None if current.ends else "The file extrudes nothing that could be watched.")
+        self._ledger.note(
+            blind=None if current.ends else "The file extrudes nothing that could be watched.",
+            renderer=result["renderer"], layers=len(current.ends),
+        )  # fmt: skip
 
     def _revive_later(self, current: _Print, why: str) -> None:
         """The eye has gone. Start it again, a little later each time, until it is plain that it will not stay."""
         self.holds.plan_none()
         current.revivals += 1
         if current.revivals > REVIVALS:
-            self._publish(blind=f"{why} It was started again {REVIVALS} times; this print is not watched any more.")
+            why = f"{why} It was started again {REVIVALS} times; this print is not watched any more."
+            self._ledger.note(blind=why)
             return
-        self._publish(blind=f"{why} It is being started again.")
-        wait_s = 0.0 if current.revivals == 1 else 2.0 ** current.revivals
+        self._ledger.note(blind=f"{why} It is being started again.")
 
         def revive() -> None:
             if self._print is current and not current.job.over.is_set():
                 self._open(current, again=True)
 
+        wait_s = 0.0 if current.revivals == 1 else 2.0**current.revivals
         timer = threading.Timer(wait_s, lambda: self._mailbox.put(revive))
         timer.daemon = True
         timer.start()
@@ -254,20 +242,19 @@ class Watch:
         current, look, gone = self._print, None, ""
         try:
             if current is not None:
-                current.last_pos = hold.file_pos
-                current.layer = hold.layer
+                current.last_pos, current.looked_s = hold.file_pos, hold.since_s
                 look = self._see(current, hold)
-                self._act(current, look.check)
+                self._act(look.check)
         except Interrupted as error:
             log.info("Layer %d was not checked: %s", hold.layer, hold.dropped or error)
         except EyeGone as error:
             gone = str(error)
         except MoopError as error:
             log.warning("Layer %d was not checked: %s", hold.layer, error)
-            self._publish(blind=str(error))
+            self._ledger.note(blind=str(error))
         except Exception as error:
             log.exception("Layer %d was not checked", hold.layer)
-            self._publish(blind=f"Checking failed ({type(error).__name__}). The log has the details.")
+            self._ledger.note(blind=f"Checking failed ({type(error).__name__}). The log has the details.")
         finally:
             if current is not None and not gone:
                 self._plan(current)
@@ -276,7 +263,7 @@ class Watch:
             log.warning("Layer %d was not checked: %s", hold.layer, gone)
             self._revive_later(current, gone)
         if current is not None and look is not None:
-            self._keep(current, look, hold)
+            self._keep(current, look, time.monotonic() - hold.since_s)
 
     def _see(self, current: _Print, hold: Hold) -> _Look:
         """Wait until the printer stands still, take a picture, and have it checked.
@@ -294,12 +281,12 @@ class Watch:
         deadline_s = time.monotonic() + settings.check_timeout_s
         jpeg = self._fresh(current, hold, deadline_s)
         x, y, z = hold.position_mm
-        recorder = current.recorder
         moment = {
-            "frame": recorder.name_frame() if recorder is not None else f"frames/{len(self._checks):06d}.jpg",
-            "file_pos": hold.file_pos, "layer": hold.layer, "position_mm": {"x": x, "y": y, "z": z},
-            "time_s": round(time.monotonic() - current.began_s, 3), "parked": False,
+            "frame": f"frames/{current.frames:06d}.jpg", "file_pos": hold.file_pos, "layer": hold.layer,
+            "position_mm": {"x": x, "y": y, "z": z}, "time_s": round(time.monotonic() - current.began_s, 3),
+            "parked": hold.marked or current.stands_clear(hold.position_mm),
         }  # fmt: skip
+        current.frames += 1
         if self._eye.births != current.born:
             raise EyeGone("The process that looks at the pictures was started anew.")
         check, _ = self._eye.ask(
@@ -318,77 +305,70 @@ class Watch:
                 return jpeg
         raise FrameError("The webcam delivers the same picture again and again. Restart it.")
 
-    def _act(self, current: _Print, check: dict[str, Any]) -> None:
-        """Do what the settings say about a failure; once for each failure."""
-        if check["verdict"] != "failed":
-            return
-        failure = (check["mode"], *sorted(entry["name"] for entry in check["objects"] if entry["verdict"] == "failed"))
-        if failure in current.told:
-            return
-        current.told.add(failure)
-        current.action = self._settings.on_failed
-        if current.action == "cancel_object":
-            current.action = "pause"
-        current.reason = check["reason"]
-        if current.action == "pause":
-            self._printer.pause_print(tags={"moop:mismatch"})
-        elif current.action == "cancel":
-            self._printer.cancel_print(tags={"moop:mismatch"})
-        check["action"] = current.action
+    def _act(self, check: dict[str, Any]) -> None:
+        check["action"] = self.actor.act(check, self._settings.on_failed)
+        if check["action"] != "none":
+            log.warning("Layer %d failed: %s Action: %s", check["layer"], check["reason"], check["action"])
+            self._ledger.note(action=check["action"], reason=check["reason"])
 
-    def _keep(self, current: _Print, look: _Look, hold: Hold) -> None:
+    def _keep(self, current: _Print, look: _Look, held_s: float) -> None:
         """After the release: keep the pictures, write the recording, tell everybody."""
-        held_s = time.monotonic() - hold.since_s
-        self._checked_s, current.revivals = time.monotonic(), 0
-        check_id = len(self._checks)
-        check = {**look.check, "id": check_id, "held_s": round(held_s, 3)}
-        pictures = {"frame.jpg": look.jpeg}
+        current.revivals = 0
+        check, pictures = look.check, {"frame.jpg": look.jpeg}
         try:
             _, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over)
             pictures.update(zip(("seen.png", "expected.png", "ignored.png"), masks))
         except MoopError as error:
-            log.debug("No pictures of check %d: %s", check_id, error)
-        self._pictures[check_id] = pictures
-        while len(self._pictures) > KEPT_PICTURES:
-            self._pictures.popitem(last=False)
-        self._checks = (*self._checks, check)
+            log.debug("No pictures of %s: %s", look.moment["frame"], error)
         if current.recorder is not None:
-            current.recorder.add(look.jpeg, look.moment, look.check)
-        log.info("Layer %d: %s, error %s, limit %s, held %.2f s", check["layer"], check["verdict"], check["E"],
-                 check["limit"], held_s)  # fmt: skip
-        self._publish(blind=None if check["verdict"] != "unusable" else check["reason"])
-        self._tell("check", check)
-        if check["verdict"] in ("failed", "suspect"):
-            self._tell(check["verdict"], {"check": check, "action": check.get("action", "none")})
+            current.recorder.add(look.jpeg, look.moment, check)
+        log.info("Layer %d: %s, error %s, held %.2f s", check["layer"], check["verdict"], check["E"], held_s)
+        self._ledger.note(layer=check["layer"])
+        self._ledger.add(check, pictures, held_s)
 
     def _plan(self, current: _Print) -> None:
         if current.switched_off or current.job.over.is_set() or self._print is not current:
             return
         settings = self._settings
-        not_before_s = self._checked_s + settings.min_interval_s if self._checks else 0.0
-        self.holds.plan(current.ends, settings.every_layers, current.last_pos, not_before_s)
+        not_before_s = 0.0 if current.looked_s is None else current.looked_s + settings.min_interval_s
+        every_layers = 0 if settings.capture == "slicer" else settings.every_layers
+        self.holds.plan(current.ends, every_layers, current.last_pos, not_before_s)
 
-    def _look_after_holds(self) -> None:
-        """What the hooks noticed but had no time to say."""
-        if self._print is None or self._blind is not None:
+    def _tick(self) -> None:
+        """What nobody else thinks of: things that the hooks noticed but had no time to say, and things that do not come."""
+        current, settings = self._print, self._settings
+        if current is None:
+            if time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:
+                self._eye.close()
+            return
+        if not self._ledger.status["watching"]:
             return
         if self.holds.refused:
-            self._publish(blind=f"The print cannot be held for a look ({self.holds.refused}).")
+            self._ledger.note(blind=f"The print cannot be held for a look ({self.holds.refused}).")
         elif self.holds.missed >= 3:
-            self._publish(blind="The lines that are sent do not match the file. Was it changed after it was read?")
+            self._ledger.note(blind="The lines that are sent do not match the file. Was it changed after it was read?")
+        elif settings.longest_s and settings.capture == "stand" and self._ledger.age_s > settings.longest_s:
+            self.holds.ask()
 
     def _end(self, how: str) -> None:
         current, self._print = self._print, None
+        self._idle_since_s = time.monotonic()
+        self.actor.forget_cooling()
         if current is not None and current.recorder is not None:
             current.recorder.end(how)
-        self._publish(blind=IDLE, ended=current)
+        self._ledger.note(blind=IDLE)
+
+    def _go_on(self) -> None:
+        """The user resumed the print: what was done about it is over, and known."""
+        self.actor.forget_cooling()
+        self._ledger.note(action="none", reason="")
 
     def _read_ahead(self, path: str) -> None:
         if self._print is None:
+            self._idle_since_s = time.monotonic()
             try:
                 result, _ = self._eye.ask("index", timeout_s=OPEN_TIMEOUT_S, job=path, cache=str(self._cache))
-                self._renderer = result["renderer"]
-                self._publish(blind=IDLE)
+                self._ledger.note(renderer=result["renderer"])
             except MoopError as error:
                 log.info("%s: %s", path, error)
 
@@ -410,16 +390,10 @@ class Watch:
         current.switched_off = not watching
         if watching:
             self._plan(current)
-            self._publish(blind=None)
+            self._ledger.note(blind=None)
         else:
             self.holds.plan_none()
-            self._publish(blind="Watching was switched off for this print.")
-
-    def _pardon(self) -> None:
-        current = self._print
-        if current is not None:
-            current.action, current.reason = "none", ""
-            self._publish(blind=self._blind)
+            self._ledger.note(blind="Watching was switched off for this print.")
 
     def _header(self, current: _Print) -> dict[str, Any]:
         settings = self._settings
@@ -433,27 +407,3 @@ class Watch:
             size = 0
         head = {"format": "moop-recording", "version": 1, "job": {"file": "job.gcode", "bytes": size}}
         return {**head, **(current.job.header or {}), "material": material}
-
-    def _publish(self, blind: str | None, ended: _Print | None = None) -> None:
-        news = blind is not None and blind not in (self._blind, IDLE)
-        self._blind = blind
-        self._status = self._make_status(ended)
-        self._tell("status", self.status)
-        if news:
-            self._tell("blind", {"reason": blind})
-
-    def _make_status(self, ended: _Print | None = None) -> dict[str, Any]:
-        current = self._print or ended
-        return {
-            "watching": self._print is not None and self._blind is None,
-            "blind": self._blind,
-            "job": current.job.name if current is not None else None,
-            "layer": current.layer if current is not None else None,
-            "layers": len(current.ends) or None if current is not None else None,
-            "checks": len(self._checks),
-            "last_check": self._checks[-1] if self._checks else None,
-            "action": current.action if current is not None else "none",
-            "reason": current.reason if current is not None else "",
-            "renderer": self._renderer,
-            "version": self._version,
-        }
