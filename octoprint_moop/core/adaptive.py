@@ -52,10 +52,9 @@ class AdaptiveSegmenter:
         mask = None if expected is None else np.ascontiguousarray(expected.mask[y0:y1, x0:x1])
         plate = None
         if self._plate is not None and self._plate.known.shape == frame_bgr.shape[:2]:
-            colours, known = self._plate.colours, self._plate.known
-            plate = Plate(np.ascontiguousarray(colours[y0:y1, x0:x1]), np.ascontiguousarray(known[y0:y1, x0:x1]))
+            plate = self._plate.part(region)
         model = self._colours(frame_bgr, expected)
-        seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2]), mask)
+        seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2], model), mask)
         return seen.within(frame_bgr.shape[:2], region)
 
     def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
@@ -67,10 +66,17 @@ class AdaptiveSegmenter:
             filament &= (self._plate.known > 0) | (_distance(colours, self._plate.colours) > _CHANGED)
         outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
         background = outside & (observed.mask == 0) & (observed.unsure == 0)
+        # its edge too, which is a mixture of both, and so is what lies just outside of it: there they must be told apart
+        edge_px = 2 * _INSIDE_PX + 1
+        near = cv2.dilate(filament.astype(np.uint8), np.ones((2 * edge_px + 1,) * 2, np.uint8)) > 0
+        lies = (expected.mask > 0) & near
+        beside = (cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) > 0) & near
+        beside &= expected.mask == 0
         if filament.any():
             known = np.zeros_like(self._background) if self._filament is None else self._filament
-            self._filament = _remember(known, count_colours(colours, filament))
-        self._background = _remember(self._background, count_colours(colours, background))
+            self._filament = _remember(known, count_colours(colours, lies))
+        region = _region(expected, filament.shape)
+        self._background = _remember(self._background, count_colours(colours, (background & _inside(region, filament.shape)) | beside))
         self._model = None
         self._remember_plate(colours, filament, background)
 
@@ -100,6 +106,13 @@ class AdaptiveSegmenter:
                 lies &= _distance(colours, self._plate.colours) > _CHANGED
             filament = count_colours(colours, lies)
         return ColourModel(filament, background)
+
+
+def _inside(region: tuple[int, int, int, int], shape: tuple[int, int]) -> np.ndarray:
+    x0, y0, x1, y1 = region
+    inside = np.zeros(shape, bool)
+    inside[y0:y1, x0:x1] = True
+    return inside
 
 
 def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -47,9 +47,10 @@ class LearnedFilament:
                 f"{self.frame_size_px[0]}x{self.frame_size_px[1]}. Use pictures of one camera at one size."
             )
         x0, y0, x1, y1 = self.region
-        crop = np.ascontiguousarray(self.light.level(frame_bgr)[0][y0:y1, x0:x1])
+        crop = np.ascontiguousarray(frame_bgr[y0:y1, x0:x1])
         believed = None if expected is None else np.ascontiguousarray(expected[y0:y1, x0:x1])
-        return weigh(crop, self.model, self.look, believed).within(frame_bgr.shape[:2], self.region)
+        seen = weigh(crop, self.model, self.look, believed, self.light.gain(frame_bgr))
+        return seen.within(frame_bgr.shape[:2], self.region)
 
 
 def learn_from_label(
@@ -87,7 +88,7 @@ def learn_from_label(
     model = ColourModel(count_colours(colours, core), count_colours(colours, far))
     whole = np.where(mask > 0, np.uint8(255), np.uint8(0))
     return LearnedFilament(
-        model, look_of_label(crop, label), Light(frame_bgr, whole), (x0, y0, x1, y1), (width, height)
+        model, look_of_label(crop, label, model), Light(frame_bgr, whole), (x0, y0, x1, y1), (width, height)
     )
 
 

@@ -61,6 +61,15 @@ class Light:
         field = cv2.resize(gain * np.exp(-local).astype(np.float32), self._size_px, interpolation=cv2.INTER_LINEAR)
         return cv2.multiply(frame_bgr, field, dtype=cv2.CV_8U), change
 
+    def gain(self, frame_bgr: np.ndarray) -> np.ndarray:
+        """(3,) float32: by what to multiply the frame's channels, so that its light is the reference's on the whole."""
+        small = self._small(frame_bgr)
+        known = self._background & (_most(small) < BRIGHT)
+        if known.mean() < MIN_BACKGROUND_RATIO:
+            return np.ones(3, np.float32)
+        ratio = np.log(np.maximum(small[known], 1.0)) - np.log(np.maximum(self._reference[known], 1.0))
+        return np.exp(-np.median(ratio, axis=0)).astype(np.float32)
+
     def _small(self, frame_bgr: np.ndarray) -> np.ndarray:
         return cv2.resize(frame_bgr, self._work_px, interpolation=cv2.INTER_AREA).astype(np.float32)
 

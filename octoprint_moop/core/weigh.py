@@ -19,14 +19,16 @@ from .appearance import EVIDENCE_MAX, ColourModel, Plate, count_colours, evidenc
 from .explain import explain
 from .segment import Observation
 
-WORK_PX = 310_000  # pixels in the region beyond which the work is done at a half, a third, … of the size
+# Pixels in the region beyond which the work is done at a half, a third, … of the size
+WORK_PX, WORK_SHARP_PX = 120_000, 310_000
 
 _EXPECTED_WEIGHT = 3.0  # log-odds given to the believed story well inside and well outside of it
-_EDGE_PX = 2.0  # the story's edge is this uncertain: the weight grows from 0 to full over it
+_EDGE_PX = 2  # the story's edge is this uncertain: the weight grows from 0 to full over it
 _WRONG_LOOK = -0.3  # support below which the learned colours are not what is seen in this frame
-_ALIKE, _APART = 0.8, 0.95  # separability: below, only neighbours together decide; above, each pixel by itself
+_ALIKE, _APART = 0.7, 0.85  # separability: below, only neighbours together decide; above, each pixel by itself
 _UNSURE = 0.25  # evidence, after smoothing, that says neither
 _GUIDE_RADIUS_PX, _GUIDE_NOISE = 8, 0.01
+_SAME_LIGHT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +47,22 @@ class Look:
     step: int
 
     @classmethod
-    def without_label(cls, plate: Optional[Plate], shape: tuple[int, int]) -> Look:
+    def without_label(cls, plate: Optional[Plate], shape: tuple[int, int], model: ColourModel) -> Look:
         """Nothing is known about where filament is."""
-        step = _step(shape)
+        step = _step(shape, model)
         nothing = np.zeros(_work_shape(shape, step), np.float32)
         return cls(None if plate is None else plate.shrunk(step), nothing, nothing, step)
 
 
-def _step(shape: tuple[int, int]) -> int:
-    return math.ceil(math.sqrt(shape[0] * shape[1] / WORK_PX))
+def _step(shape: tuple[int, int], model: ColourModel) -> int:
+    """Where neighbours decide together anyway, little is lost at a smaller size."""
+    most_px = WORK_SHARP_PX if _sharpness(model) > 0.5 else WORK_PX
+    return math.ceil(math.sqrt(shape[0] * shape[1] / most_px))
+
+
+def _sharpness(model: ColourModel) -> float:
+    """0..1: by how much a pixel is believed by itself; so a strand one pixel wide is kept where colour is decisive."""
+    return float(np.clip((model.separability - _ALIKE) / (_APART - _ALIKE), 0, 1))
 
 
 def _work_shape(shape: tuple[int, int], step: int) -> tuple[int, int]:
@@ -71,29 +80,37 @@ def _mask_at_work_size(mask: np.ndarray, step: int) -> np.ndarray:
     return np.where(_at_work_size(mask, step) > 127, np.uint8(255), np.uint8(0))
 
 
-def _edge_preserving(values: np.ndarray, guide: np.ndarray, full_guide: np.ndarray, radius: int) -> np.ndarray:
-    """The guided filter of `values` by `guide`; (fast variant) carried to the size of `full_guide`."""
-    window = (2 * radius + 1, 2 * radius + 1)
-    guide = guide.astype(np.float32) / 255
-    mean_guide, mean = cv2.blur(guide, window), cv2.blur(values, window)
-    variance = cv2.blur(guide * guide, window) - mean_guide * mean_guide
-    slope = (cv2.blur(guide * values, window) - mean_guide * mean) / (variance + _GUIDE_NOISE)
-    offset = cv2.blur(mean - slope * mean_guide, window)
-    slope = cv2.blur(slope, window)
-    if full_guide.shape != guide.shape:
-        size = full_guide.shape[::-1]
-        slope = cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR)
-        offset = cv2.resize(offset, size, interpolation=cv2.INTER_LINEAR)
-    return slope * (full_guide.astype(np.float32) / 255) + offset
+def _along_edges(values: np.ndarray, guide: np.ndarray) -> np.ndarray:
+    """(H, W) float32: the guided filter of float32 `values` by the uint8 `guide`, at half the size (its fast variant)."""
+    height, width = values.shape
+    half = ((width + 1) // 2, (height + 1) // 2)
+    coarse = cv2.resize(values, half, interpolation=cv2.INTER_AREA)
+    light = cv2.resize(guide, half, interpolation=cv2.INTER_AREA).astype(np.float32) * np.float32(1 / 255)
+    window = (_GUIDE_RADIUS_PX + 1, _GUIDE_RADIUS_PX + 1)
+    mean_light, mean = cv2.blur(light, window), cv2.blur(coarse, window)
+    variance = cv2.blur(light * light, window) - mean_light * mean_light
+    slope = (cv2.blur(light * coarse, window) - mean_light * mean) / (variance + np.float32(_GUIDE_NOISE))
+    offset = cv2.blur(mean - slope * mean_light, window)
+    slope = cv2.blur(slope, window) * np.float32(1 / 255)
+    size = (width, height)
+    slope = cv2.resize(slope, size, interpolation=cv2.INTER_LINEAR)
+    return cv2.blur(slope * guide + cv2.resize(offset, size, interpolation=cv2.INTER_LINEAR), (5, 5))
+
+
+def _odds_table() -> np.ndarray:
+    """(256,) float32: log-odds by the mean of a pixel's own mask value and the mask's mean about it."""
+    level = np.linspace(-1, 1, 256)  # the sign is the pixel's own, so that a strand one pixel wide keeps its odds
+    steep = np.clip(2 * level - np.sign(level), -1, 1)
+    return (_EXPECTED_WEIGHT * np.sign(level) * np.maximum(steep * np.sign(level), 0.25)).astype(np.float32)
+
+
+_ODDS = _odds_table()
 
 
 def _expected_odds(mask: np.ndarray) -> np.ndarray:
-    """(H, W) float32: log-odds of filament by the distance to the edge of a mask that is believed."""
-    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform(cv2.bitwise_not(mask), cv2.DIST_L2, 3)
-    if not mask.any():
-        return np.full(mask.shape, -_EXPECTED_WEIGHT, np.float32)
-    return np.clip((inside - outside) / _EDGE_PX, -1, 1) * np.float32(_EXPECTED_WEIGHT)
+    """(H, W) float32: log-odds of filament where a mask is believed, growing from its edge inwards and outwards."""
+    side = 2 * _EDGE_PX + 1
+    return cv2.LUT(cv2.addWeighted(mask, 0.5, cv2.blur(mask, (side, side)), 0.5, 0), _ODDS)
 
 
 def _own_colours(colours: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
@@ -128,9 +145,9 @@ def _top_odds(seen: np.ndarray, label: np.ndarray) -> np.ndarray:
     return np.clip(odds, -2, 2).astype(np.float32)[:, None]
 
 
-def look_of_label(frame_bgr: np.ndarray, label: np.ndarray) -> Look:
+def look_of_label(frame_bgr: np.ndarray, label: np.ndarray, model: ColourModel) -> Look:
     """What a labelled picture tells about every later one: the plate, and where filament probably is."""
-    step = _step(label.shape)
+    step = _step(label.shape, model)
     known = np.where(label > 0, 1, -1).astype(np.int8)
     plate = Plate(opponent(frame_bgr), known).shrunk(step)
     mask = _mask_at_work_size(label, step)
@@ -145,15 +162,24 @@ def look_of_label(frame_bgr: np.ndarray, label: np.ndarray) -> Look:
 
 
 def weigh(
-    frame_bgr: np.ndarray, model: ColourModel, look: Look, expected: Optional[np.ndarray] = None
+    frame_bgr: np.ndarray,
+    model: ColourModel,
+    look: Look,
+    expected: Optional[np.ndarray] = None,
+    gain: Optional[np.ndarray] = None,
 ) -> Observation:
     """The region's pixels that are filament, and those on which neither is said.
 
-    frame_bgr : (H, W, 3) uint8, the region of a frame; expected : (H, W) uint8, what should be there, right or wrong
+    frame_bgr : (H, W, 3) uint8, the region of a frame
+    expected  : (H, W) uint8, what should be there, right or wrong
+    gain      : (3,) by what to multiply the channels, so that the light is that of the plate
     """
     small = _at_work_size(frame_bgr, look.step)
+    if gain is not None and np.abs(gain - 1).max() > _SAME_LIGHT:
+        small = cv2.LUT(small, np.clip(np.arange(256)[:, None] * gain + 0.5, 0, 255).astype(np.uint8)[None])
     colours = opponent(small)
-    seen = evidence(colours, model, look.plate)
+    sharp = _sharpness(model)
+    seen = evidence(colours, model, look.plate if sharp < 1 else None)
     if expected is None:
         odds = seen + look.place
         if look.plate is not None and (look.plate.known > 0).any():
@@ -172,14 +198,11 @@ def weigh(
             odds = seen + trust * _expected_odds(story.mask)
         else:
             odds = seen + 0.3 * look.place + _expected_odds(story.mask)
-    guide = colours[..., 0]
-    full_guide = cv2.cvtColor(frame_bgr, cv2.COLOR_BGR2GRAY) if look.step > 1 else guide
-    radius = max(_GUIDE_RADIUS_PX // look.step, 2)
-    smooth = cv2.blur(_edge_preserving(odds, guide, full_guide, radius), (5, 5))
-    # where colour alone is decisive a pixel is believed by itself, and a strand one pixel wide is kept
-    sharp = float(np.clip((model.separability - _ALIKE) / (_APART - _ALIKE), 0, 1))
-    if sharp:
-        own = odds if look.step == 1 else cv2.resize(odds, full_guide.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        smooth = (1 - sharp) * smooth + sharp * own
-    filament = np.where(smooth > 0, np.uint8(255), np.uint8(0))
-    return Observation(filament, np.where(np.abs(smooth) < _UNSURE, np.uint8(255), np.uint8(0)))
+    if sharp < 1:
+        odds = cv2.addWeighted(_along_edges(odds, colours[..., 0]), 1 - sharp, odds, sharp, 0)
+    says = cv2.blur(seen, (3, 3))
+    if look.step > 1:
+        size = frame_bgr.shape[1::-1]
+        odds = cv2.resize(odds, size, interpolation=cv2.INTER_LINEAR)
+        says = cv2.resize(says, size, interpolation=cv2.INTER_LINEAR)
+    return Observation(cv2.compare(odds, 0, cv2.CMP_GT), cv2.inRange(says, -_UNSURE, _UNSURE))
