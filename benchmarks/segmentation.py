@@ -156,7 +156,10 @@ class Figures:
 
     def table(self) -> str:
         colours = ["all"] + [c for c in COLOURS if any(c in r for r in self.rows.values())]
-        lines = ["| median IoU | " + " | ".join(colours) + " | nearer to the truth |", "|---" * (len(colours) + 2) + "|"]
+        lines = [
+            "| median IoU | " + " | ".join(colours) + " | nearer to the truth |",
+            "|---" * (len(colours) + 2) + "|",
+        ]
         for what, row in self.rows.items():
             cells = [f"{np.median(row[c]):.2f}" if row[c] else "" for c in colours]
             nearer = f"{100 * np.mean(self.nearer[what]):.1f} %" if what in self.nearer else ""

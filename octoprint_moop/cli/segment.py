@@ -18,9 +18,18 @@ from .mask import write_png
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IMAGE… | RECORDING")
 @click.option("--learn", metavar="FRAME=MASK", help="A frame of the same print, and its mask: non-zero is filament.")
 @click.option("--box", metavar="X0,Y0,X1,Y1", help="Look only at this part of the pictures, in pixels.")
-@click.option("--expected", multiple=True, type=click.Path(path_type=Path), help="What should be there: one mask an image, in order.")
-@click.option("-o", "out", required=True, type=click.Path(path_type=Path), help="Folder for the masks; for a RECORDING, the PNG.")
-def segment(images: tuple[Path, ...], learn: str | None, box: str | None, expected: tuple[Path, ...], out: Path) -> None:
+@click.option(
+    "--expected",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="What should be there: one mask an image, in order.",
+)
+@click.option(
+    "-o", "out", required=True, type=click.Path(path_type=Path), help="Folder for the masks; for a RECORDING, the PNG."
+)
+def segment(
+    images: tuple[Path, ...], learn: str | None, box: str | None, expected: tuple[Path, ...], out: Path
+) -> None:
     """Write which pixels are filament: 255 for filament, 0 for anything else.
 
     IMAGE… with --learn: learns from the one labelled frame and segments each image by itself, no camera or G-code

@@ -76,7 +76,9 @@ class AdaptiveSegmenter:
             known = np.zeros_like(self._background) if self._filament is None else self._filament
             self._filament = _remember(known, count_colours(colours, lies))
         region = _region(expected, filament.shape)
-        self._background = _remember(self._background, count_colours(colours, (background & _inside(region, filament.shape)) | beside))
+        self._background = _remember(
+            self._background, count_colours(colours, (background & _inside(region, filament.shape)) | beside)
+        )
         self._model = None
         self._remember_plate(colours, filament, background)
 

@@ -87,7 +87,10 @@ class ColourModel:
 
     def __post_init__(self) -> None:
         dense = np.stack(
-            [_smooth(counts) / (max(float(counts.sum()), 1.0) * _CELL_VOLUME) for counts in (self.filament, self.background)]
+            [
+                _smooth(counts) / (max(float(counts.sum()), 1.0) * _CELL_VOLUME)
+                for counts in (self.filament, self.background)
+            ]
         ).astype(np.float32)
         object.__setattr__(self, "densities", dense)
         apart = float(min(1.0, 0.5 * np.abs(dense[0] - dense[1]).sum() * _CELL_VOLUME))
@@ -119,9 +122,7 @@ class Plate:
     def part(self, region: tuple[int, int, int, int]) -> Plate:
         """Of the region (x0, y0, x1, y1)."""
         x0, y0, x1, y1 = region
-        return Plate(
-            np.ascontiguousarray(self.colours[y0:y1, x0:x1]), np.ascontiguousarray(self.known[y0:y1, x0:x1])
-        )
+        return Plate(np.ascontiguousarray(self.colours[y0:y1, x0:x1]), np.ascontiguousarray(self.known[y0:y1, x0:x1]))
 
 
 def _stay_table() -> np.ndarray:

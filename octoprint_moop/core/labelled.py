@@ -15,7 +15,8 @@ from .segment import Observation
 from .weigh import Look, look_of_label, weigh
 
 LOOK_ALIKE = 0.6  # separability below which the user is told that filament and bed look alike
-_CLICK_SIDE_PX, _SPOT_PX = 320, 4
+_CLICK_SIDE_PX, _SPOT_PX = 320, 4  # the size at which a clicked picture is cut, and what is taken about a click
+_WORLD, _CLICK_PX = 0.3, 10_000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,20 +135,23 @@ def label_from_clicks(
             centre = (int((x - x0) * scale), int((y - y0) * scale))
             cv2.circle(spot, centre, _SPOT_PX, 255, cv2.FILLED)
         spots.append(spot)
-    guess = ColourModel(*(_spread(count_colours(colours, spot > 0)) for spot in spots))
-    seen = cv2.blur(evidence(colours, guess), (5, 5))
-    # nearness to the clicks decides where colour does not
-    nearness = [cv2.distanceTransform(cv2.bitwise_not(spot), cv2.DIST_L2, 3) for spot in spots]
-    seen += np.float32(1.0) * (nearness[1] - nearness[0]) / (nearness[0] + nearness[1] + 1)
+    on, off = (_spread(count_colours(colours, spot > 0)) for spot in spots)
+    # what is unlike either is background more often than not: most of a picture is
+    world = count_colours(colours, np.ones(colours.shape[:2], bool))
+    off = (1 - _WORLD) * off / off.sum() + _WORLD * world / world.sum()
+    seen = cv2.blur(evidence(colours, ColourModel(_CLICK_PX * on / on.sum(), _CLICK_PX * off)), (5, 5))
+    # nearness to the clicks decides where colour does not, and a print is not far from where it was clicked
+    to_on, to_off = (cv2.distanceTransform(cv2.bitwise_not(spot), cv2.DIST_L2, 3) for spot in spots)
+    rows, columns = np.nonzero(spots[0])
+    reach_px = max(np.ptp(rows), np.ptp(columns), 20)
+    seen += 2 * (to_off - to_on) / (to_on + to_off + 1) - 2 * np.clip(to_on / reach_px - 0.3, 0, 1)
     trimap = np.where(seen > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     trimap[spots[1] > 0], trimap[spots[0] > 0] = cv2.GC_BGD, cv2.GC_FGD
     cv2.setRNGSeed(0)  # GrabCut's k-means draws from OpenCV's one generator: the same clicks, the same answer
-    cv2.grabCut(small, trimap, None, np.zeros((1, 65)), np.zeros((1, 65)), 4, cv2.GC_INIT_WITH_MASK)
-    cut = ((trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)).astype(np.uint8)
-    _, parts = cv2.connectedComponents(cut)
-    clicked = np.unique(parts[(spots[0] > 0) & (cut > 0)])
-    cut = np.where(np.isin(parts, clicked[clicked > 0]), np.uint8(255), np.uint8(0))
+    cv2.grabCut(small, trimap, None, np.zeros((1, 65)), np.zeros((1, 65)), 1, cv2.GC_INIT_WITH_MASK)
+    cut = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
     label = np.zeros((height, width), np.uint8)
+    cut = cut.astype(np.uint8) * np.uint8(255)
     label[y0:y1, x0:x1] = cv2.resize(cut, crop.shape[1::-1], interpolation=cv2.INTER_NEAREST)
     return label
 

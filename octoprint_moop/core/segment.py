@@ -66,7 +66,9 @@ def segment_hsv(frame_bgr: np.ndarray, thresholds: HsvThresholds) -> np.ndarray:
     """
     picture = hsv(frame_bgr)
     # S and V must exceed their limits, and inRange counts its limits in
-    least = (np.nextafter(np.float32(limit), np.float32(2)) for limit in (thresholds.saturation_min, thresholds.value_min))
+    least = (
+        np.nextafter(np.float32(limit), np.float32(2)) for limit in (thresholds.saturation_min, thresholds.value_min)
+    )
     saturation_min, value_min = (float(limit) for limit in least)
     low, high = thresholds.hue_min_deg, thresholds.hue_max_deg
     if low <= high:

@@ -41,7 +41,9 @@ def test_earlier_and_later_layers_are_found_from_one_labelled_frame():
 def test_a_print_of_the_backgrounds_own_colours_is_found_by_each_pixels_own_past():
     """Both show the same greys; only where the camera has seen which of them tells them apart."""
     rng = np.random.default_rng(1)
-    walls, skin = (cv2.resize(rng.uniform(20, 120, (30, 40)), (160, 120), interpolation=cv2.INTER_NEAREST) for _ in "ab")
+    walls, skin = (
+        cv2.resize(rng.uniform(20, 120, (30, 40)), (160, 120), interpolation=cv2.INTER_NEAREST) for _ in "ab"
+    )
 
     def look(height_px: int) -> tuple[np.ndarray, np.ndarray]:
         _, mask = scene(height_px)
