@@ -11,12 +11,7 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import Canned
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# No GPU, no sandbox as root, and none of Chromium's own conversations with the world.
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking",
-         "--disable-component-update", "--no-first-run"]  # fmt: skip
+from .stage import FLAGS, Canned, chromium_path, log_in, wait_for_page
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +25,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DemoServer]:
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
     sync_api = pytest.importorskip("playwright.sync_api")
-    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    found = chromium_path()
     if found is None:
         pytest.skip("no Chromium is installed here")
     with sync_api.sync_playwright() as playwright:
@@ -48,20 +43,6 @@ def session(chromium: Any, server: DemoServer) -> Any:
     state = context.storage_state()
     context.close()
     return state
-
-
-def log_in(page: Any, url: str, user: str, password: str) -> None:
-    page.goto(url + "/?l10n=en")
-    page.wait_for_function("window.OctoPrint && OctoPrint.loginui && OctoPrint.loginui.startedUp", timeout=60_000)
-    page.fill("#login-user", user)
-    page.fill("#login-password", password)
-    page.click("#login-button")
-    wait_for_page(page)
-
-
-def wait_for_page(page: Any) -> None:
-    page.wait_for_function("window.OctoPrint && OctoPrint.coreui && OctoPrint.coreui.startedUp", timeout=60_000)
-    page.evaluate("PNotify.removeAll()")  # pop-ups cover buttons
 
 
 @pytest.fixture

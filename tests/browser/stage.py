@@ -3,12 +3,36 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+import shutil
+from typing import Any, Optional
 
 import cv2
 import numpy as np
 
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# No GPU, no sandbox as root, and none of Chromium's own conversations with the world.
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking",
+         "--disable-component-update", "--no-first-run"]  # fmt: skip
 WIDTH, HEIGHT = 320, 240
+
+
+def chromium_path() -> Optional[str]:
+    """The first Chromium that this machine has."""
+    return next((path for name in BROWSERS if (path := shutil.which(name))), None)
+
+
+def log_in(page: Any, url: str, user: str, password: str) -> None:
+    page.goto(url + "/?l10n=en")
+    page.wait_for_function("window.OctoPrint && OctoPrint.loginui && OctoPrint.loginui.startedUp", timeout=60_000)
+    page.fill("#login-user", user)
+    page.fill("#login-password", password)
+    page.click("#login-button")
+    wait_for_page(page)
+
+
+def wait_for_page(page: Any) -> None:
+    page.wait_for_function("window.OctoPrint && OctoPrint.coreui && OctoPrint.coreui.startedUp", timeout=60_000)
+    page.evaluate("PNotify.removeAll()")  # pop-ups cover buttons
 
 # What dark themes and one-column layouts do to OctoPrint's page: CSS over it, nothing else.
 DARK = """

@@ -9,8 +9,7 @@ import pytest
 from octoprint_moop.core.settings import DEFAULTS
 from octoprint_moop.demo.server import DemoServer
 
-from .conftest import wait_for_page
-from .stage import DARK, Canned, serious_violations
+from .stage import DARK, Canned, serious_violations, wait_for_page
 
 
 @pytest.fixture

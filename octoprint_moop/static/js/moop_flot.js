@@ -52,7 +52,7 @@
                 lines: {show: false},
                 shadowSize: 0
             },
-            {label: "E", data: points.error, color: "#0072b2", lines: {show: true, lineWidth: 2}, shadowSize: 0}
+            {label: "E", data: points.error, color: "#2a8fd0", lines: {show: true, lineWidth: 2}, shadowSize: 0}
         ];
         Object.keys(points.events).forEach(function (name) {
             if (points.events[name].length) {

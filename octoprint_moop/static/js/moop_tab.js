@@ -114,6 +114,9 @@ $(function () {
                 };
             });
         });
+        self.hasLimit = ko.pureComputed(function () {
+            return _.some(self.checks(), function (check) { return check.limit !== null && check.limit !== undefined; });
+        });
         self.plotSummary = ko.pureComputed(function () {
             const checks = self.checks();
             const count = function (verdict) {

@@ -111,8 +111,8 @@
         if (check && check.verdict === "failed" && failureStands(status)) {
             const stands = {
                 idle: say("The last print failed"),
-                printing: say("Failure seen, printing on"),
-                paused: say("Failure seen, print paused")
+                printing: say("Failed, printing on"),
+                paused: say("Print paused")
             };
             return {
                 level: "failed",
@@ -187,11 +187,12 @@
         if (check.limit !== null && check.limit !== undefined) {
             numbers += say(", the limit %(limit)s", values);
         }
+        const named = failedObjects.every(function (name) { return (check.reason || "").indexOf(name + ":") >= 0; });
         return {
             title: say("%(mode)s at layer %(layer)s", {mode: mode(check), layer: values.layer}),
             sentence: check.reason || say("What the camera sees does not match the model."),
             details: joined([
-                failedObjects.length ? say("object: %(objects)s", values) : "",
+                failedObjects.length && !named ? say("object: %(objects)s", values) : "",
                 since < check.layer ? say("since layer %(since)s", values) : "",
                 numbers
             ]),

@@ -40,7 +40,7 @@ test("when no print runs, nobody is alarmed", () => {
 test("a failure outranks everything else until it is pardoned", () => {
     const gone = status({last_check: failed, action: "pause", reason: "The hook is gone.", blind: "whatever"});
     assert.deepStrictEqual(words.state(gone, 75, "paused"), {
-        level: "failed", text: "Failure seen, print paused · layer 73 · Detached from the bed · 1 min ago"
+        level: "failed", text: "Print paused · layer 73 · Detached from the bed · 1 min ago"
     });
     assert.notStrictEqual(words.state(Object.assign(gone, {action: "none", reason: ""}), 75, "paused").level, "failed");
 });
@@ -73,6 +73,13 @@ test("a failure names what, where, since when, how much, and what was done", () 
         details: "object: hook · since layer 71 · E is 13 %, the limit 2.0 %",
         done: "The print was paused."
     });
+});
+
+test("an object that the sentence names is not named twice", () => {
+    const told = words.failure(
+        Object.assign({}, failed, {reason: "hook: it is gone.", objects: [{name: "hook", verdict: "failed"}]}), 72, "pause"
+    );
+    assert.doesNotMatch(told.details, /hook/);
 });
 
 test("a refusal is told in the server's own words where it sent some", () => {

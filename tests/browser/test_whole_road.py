@@ -1,0 +1,67 @@
+"""The whole road in a real browser: a real print is seen to fail, pauses, is resumed from the tab, and ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Iterator
+
+import pytest
+
+from octoprint_moop.demo.run import Demo
+
+from .stage import log_in
+
+FAULT_LAYER = 12
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
+    with Demo(tmp_path_factory.mktemp("demo"), fault="detachment", fault_layer=FAULT_LAYER) as running:
+        yield running
+
+
+@pytest.fixture
+def tab(chromium: Any, demo: Demo) -> Iterator[Any]:
+    context = chromium.new_context(viewport={"width": 1280, "height": 1400})
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    log_in(page, demo.server.url, demo.server.user, demo.server.password)
+    page.click("#tab_plugin_moop_link a")
+    yield page
+    context.close()
+    assert errors == []
+
+
+def wait_for_text(page: Any, name: str, piece: str, timeout_s: float) -> None:
+    page.wait_for_selector(f"[data-test-id=moop-{name}]:has-text('{piece}')", timeout=1000 * timeout_s)
+
+
+def test_a_print_that_comes_loose_is_seen_told_resumed_and_ends(tab: Any, demo: Demo, tmp_path: Path) -> None:
+    demo.print_job()
+    wait_for_text(tab, "state-text", "Watching", 60)
+    wait_for_text(tab, "state-text", "all well", 30)
+
+    wait_for_text(tab, "state-text", "Print paused", 90)
+    status = demo.server.api("GET", "/plugin/moop/status")
+    assert demo.server.job_state() == "Paused"
+    assert FAULT_LAYER <= status["last_check"]["layer"] <= FAULT_LAYER + 3
+    assert tab.inner_text("[data-test-id=moop-failure-sentence]") == status["reason"]
+    assert tab.inner_text("[data-test-id=moop-failure-done]") == "The print was paused."
+    assert tab.is_visible(".ui-pnotify:has-text('The print was paused.')")
+    assert tab.is_visible(".moop-legend:has-text('missing')")
+    assert len(tab.evaluate("ko.dataFor(document.getElementById('moop_watch')).checks()")) == status["checks"]
+    classes = tab.evaluate("MOOP.overlay.counts(ko.dataFor(document.getElementById('moop_watch')).picture.classes)")
+    assert classes["missing"] + classes["extra"] > 500  # the picture shows the trouble, not only the words
+
+    tab.evaluate("PNotify.removeAll()")
+    tab.click("[data-test-id=moop-pardon]")
+    tab.wait_for_selector("[data-test-id=moop-failure]", state="detached")
+    tab.click("[data-test-id=moop-watch-toggle]")  # what has come loose will not get better
+    wait_for_text(tab, "state-text", "switched off for this print", 10)
+    tab.click("#job_pause")
+    demo.server.wait_state({"Operational"}, 120)
+    wait_for_text(tab, "state-text", "No print is running", 30)
+    recordings = demo.server.api("GET", "/plugin/moop/recordings")["recordings"]
+    assert len(recordings) == 1
