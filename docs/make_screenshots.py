@@ -14,9 +14,9 @@ from typing import Any
 from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path.insert(0, str(ROOT))
 
-from browser.stage import DARK, FLAGS, ONE_COLUMN, chromium_path, log_in, wait_for_page  # noqa: E402
+from tests.browser.stage import DARK, FLAGS, ONE_COLUMN, chromium_path, log_in, wait_for_page  # noqa: E402
 
 from octoprint_moop.demo.run import Demo  # noqa: E402
 
