@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -81,7 +82,11 @@ class Toolpath:
 
         z of the lowest corner is the print height of the lowest bead's top.
         """
+        return self._bounds_mm.copy()
+
+    @cached_property
+    def _bounds_mm(self) -> np.ndarray:
         if not len(self):
             return np.zeros((2, 3))
-        ends = self.beads_mm[:, :6].reshape(-1, 3)
-        return np.stack([ends.min(axis=0), ends.max(axis=0)]).astype(np.float64)
+        low, high = self.beads_mm.min(axis=0), self.beads_mm.max(axis=0)
+        return np.stack([np.minimum(low[:3], low[3:6]), np.maximum(high[:3], high[3:6])]).astype(np.float64)
