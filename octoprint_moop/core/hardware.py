@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any, Mapping, Sequence
 
@@ -65,6 +66,16 @@ class HeadModel:
             head=(Box((-14, -18, 0), (14, 18, 14)), Box((-35, -45, 8), (35, 40, 85))),
             gantry=Box((-70, -15, 25), (width_mm + 70, 45, 85)),
         )
+
+    @classmethod
+    def from_text(cls, text: str, width_mm: float) -> HeadModel:
+        """The head that a setting describes in JSON; empty for the common one. Raises SettingsError."""
+        if not text.strip():
+            return cls.common(width_mm)
+        try:
+            return cls.from_json(json.loads(text))
+        except ValueError as error:
+            raise SettingsError(f"The print head's shape is not JSON ({error}). Empty it to use the common one.") from None
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> HeadModel:

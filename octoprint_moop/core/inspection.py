@@ -15,6 +15,7 @@ from .diagnose import Diagnosis, diagnose
 from .errors import FrameError, SegmentationError
 from .evidence import find
 from .expected import Expected, MaskRenderer
+from .hardware import HeadModel
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
@@ -113,8 +114,9 @@ class Inspector:
         expected = view.expected(moment)
         seen = view.segmenter.observe(steady.frame, expected)
         observed = seen.mask
-        hidden = view.occluded(steady, cv2.bitwise_or(observed, expected.mask))
-        ignored = cv2.bitwise_or(cv2.bitwise_or(steady.outside, hidden), seen.unsure)
+        explained = cv2.bitwise_or(cv2.bitwise_or(observed, expected.mask), expected.ignored)
+        hidden = view.occluded(steady, explained)
+        ignored = steady.outside | hidden | seen.unsure | expected.ignored
         comparison = compare(expected.mask, observed, expected.complete, ignored)
         self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
         if hidden.any():
@@ -185,6 +187,7 @@ class Inspector:
             self._views[moment.camera] = View(
                 self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
                 self._header.material, self._settings.segmentation, self._reference_bgr if first else None,
+                HeadModel.from_text(self._settings.head, self._header.printer.width_mm),
             )  # fmt: skip
         return self._views[moment.camera]
 

@@ -70,6 +70,12 @@ class Settings:
     saturation_min: float = number(0.35, 0.0, 1.0, "", "Less saturated than this is not filament.")
     value_min: float = number(0.2, 0.0, 1.0, "", "Darker than this is not filament.")
 
+    head: str = text(
+        "",
+        "Shape of the print head, which is ignored where it stands over the print: JSON with `head`, a list of boxes "
+        "{low_mm, high_mm} around the nozzle, and `gantry`, one box or null. Empty for a common one.",
+    )
+
     record: bool = switch(True, "Keep a recording of each watched print.")
     recordings_mb: int = number(1000, 10, 1_000_000, "MB", "Disk space for recordings; the oldest go first, alarms last.")
 

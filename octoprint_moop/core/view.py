@@ -12,6 +12,7 @@ from .camera import Camera
 from .errors import FrameError
 from .evidence import Memory
 from .expected import KEPT_POSES, Expected, ExpectedViews, MaskRenderer, PrintMap
+from .hardware import HeadModel
 from .header import Moment, Printer
 from .light import Light
 from .segment import HsvThresholds, Segmenter, ThresholdSegmenter
@@ -43,9 +44,10 @@ class View:
     def __init__(
         self, camera: Camera, printer: Printer, toolpath: Toolpath, renderer: MaskRenderer,
         material: HsvThresholds | None, segmentation: str, reference_bgr: np.ndarray | None,
+        head: HeadModel | None = None,
     ) -> None:  # fmt: skip
         self._camera, self._printer = camera, printer
-        self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer)
+        self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
         self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._reference_position_mm = printer.bed.reference_mm
         self.segmenter: Segmenter
@@ -61,11 +63,11 @@ class View:
 
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
-        return self._expected.at(moment.file_pos, moment.position_mm, before)
+        return self._expected.at(moment.file_pos, moment.position_mm, before, parked=moment.parked)
 
     def print_map(self, moment: Moment) -> PrintMap:
         """Raises RenderError where drawing fails."""
-        return self._expected.map_at(moment.position_mm)
+        return self._expected.map_at(moment.position_mm, moment.file_pos, parked=moment.parked)
 
     def memory(self, moment: Moment) -> Memory:
         """What the pixels have shown in this pose of the bed so far."""

@@ -228,3 +228,11 @@ def test_rendered_truth_is_met(shared, case):
     assert len(ious) >= 5
     # The true masks join the ends of long beads by straight lines where the lens bends them: see docs/rendering.
     assert np.mean(ious) >= (0.985 if case in ("cube-clean", "detach-bedslinger") else 0.97)
+
+
+def test_the_head_of_the_settings_is_json_or_the_common_one():
+    assert HeadModel.from_text(" ", 250) == HeadModel.common(250)
+    own = HeadModel((Box((-1, -2, 0), (1, 2, 3)),))
+    assert HeadModel.from_text(json.dumps(own.to_json()), 250) == own
+    with pytest.raises(SettingsError, match="not JSON"):
+        HeadModel.from_text("{head", 250)
