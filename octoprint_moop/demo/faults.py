@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -132,10 +133,14 @@ def _warping(
 
 
 def _ramp(toolpath: Toolpath, fault: Fault, bead: int) -> float:
-    """How far the corner has come up when `bead` is laid: 0 at the onset, 1 ten layers later."""
+    """How far the corner has come up when `bead` is laid: 0 at the onset, 1 in the end.
+
+    The bond to the bed breaks at once, and what pulls at the corner gets less as it gives way.
+    """
     layer = int(np.searchsorted(toolpath.layer_start, bead, side="right")) - 1
     start, end = toolpath.layer_start[layer : layer + 2]
-    return float(np.clip((layer + (bead - start) / max(end - start, 1) - fault.layer) / 10, 0, 1))
+    layers = max(layer + (bead - start) / max(end - start, 1) - fault.layer, 0.0)
+    return 1.0 - math.exp(-layers / 4)
 
 
 def _detachment(
