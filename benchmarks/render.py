@@ -211,12 +211,12 @@ def plot(names: list[str], rows: list[dict[str, Any]]) -> str:
         parts.append(f'<path d="M{x} {y}V{end}" stroke="#eee"/><text x="{x}" y="{y + 20}" text-anchor="middle">{beads:,}</text>')
     parts.append(f'<text x="{width / 2}" y="{height - 8}" text-anchor="middle">beads in the print; processor time</text>')
     for number, name in enumerate(names):
-        for dashes, size in zip(("", "6 4"), SIZES_PX):
+        for dashes, size in zip(("none", "6 4"), SIZES_PX):
             line = [place(row["beads"], row[name]["processor_ms"]) for row in rows if row["size"] == size]
             colour = ("#1b6ca8", "#c1553b")[number % 2]
             path = "L".join(f"{x} {y}" for x, y in line)
             parts.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>')
-            row_y = top + 18 + 18 * (2 * number + (dashes != ""))
+            row_y = top + 18 + 18 * (2 * number + (dashes != "none"))
             parts.append(
                 f'<path d="M{left + 12} {row_y - 4}h30" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>'
                 f'<text x="{left + 50}" y="{row_y}">{name.split(" (")[0]}, {size}</text>'
