@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Iterator
 
-import cv2
 import numpy as np
 
-from ..core.errors import MoopError, RecordingError
+from ..core.errors import FrameError, MoopError, RecordingError
 from ..core.header import Header, Moment
-
-MAX_FRAME_PX = 50_000_000
+from .pictures import decode
 
 
 @dataclass(frozen=True)
@@ -88,15 +86,11 @@ class Recording:
 def read_frame(path: Path) -> np.ndarray:
     """(H, W, 3) uint8 BGR. Raises RecordingError where the picture is missing, damaged or too large."""
     try:
-        data = path.read_bytes()
+        return decode(path.read_bytes())
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}.") from None
-    frame = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if frame is None:
-        raise RecordingError(f"{path}: this is not a picture, or it is damaged. Copy the recording again.")
-    if frame.shape[0] * frame.shape[1] > MAX_FRAME_PX:
-        raise RecordingError(f"{path}: {frame.shape[1]} x {frame.shape[0]} px is more than a webcam delivers.")
-    return frame
+    except FrameError as error:
+        raise RecordingError(f"{path}: {error}") from None
 
 
 def _read_header(path: Path) -> Header:
