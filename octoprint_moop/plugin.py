@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from octoprint.access import ADMIN_GROUP, READONLY_GROUP, USER_GROUP
 from octoprint.events import Events
 
 from .api import MoopApi
+from .api_setup import MoopSetupApi
 from .core.errors import SettingsError
 from .core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
 from .machine.ledger import Ledger
@@ -23,6 +25,7 @@ REPOSITORY = ("moop3d", "OctoPrint-MOOP")
 
 class MoopPlugin(
     MoopApi,
+    MoopSetupApi,
     octoprint.plugin.StartupPlugin,
     octoprint.plugin.ShutdownPlugin,
     octoprint.plugin.SettingsPlugin,
@@ -37,7 +40,9 @@ class MoopPlugin(
     def initialize(self) -> None:
         data = Path(self.get_plugin_data_folder())
         self._recordings = data / "recordings"
-        self._setups = Setups(data / "setups.json")
+        self._setups, self._found = Setups(data / "setups.json"), Setups(data / "found.json")
+        self._lens_pictures: dict[int, bytes] = {}
+        self._pose_picture, self._bench_lock = b"", threading.Lock()
         self._moop_settings = self._stored_settings()
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
         # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.

@@ -19,18 +19,19 @@ import shutil
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Callable
+from typing import TYPE_CHECKING, Any
 
 import cv2
-import numpy as np
 
-from ..core.errors import FrameError, MoopError
+from ..core.errors import MoopError
 from ..core.gcode import read_gcode
 from ..core.header import Header, Moment
 from ..core.inspection import Inspector
 from ..core.raster import CvRenderer
-from ..core.segment import HsvThresholds, segment_hsv
 from ..core.settings import read_settings
+from . import bench
+from .bench import Answer
+from .pictures import decode, encode_mask
 from .pipe import receive, send
 from .recording import Recording
 from .renderers import open_renderer
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from .gl import GlRenderer
 
 REBUILT_CHECKS = 300
-Answer = tuple[dict[str, Any], list[bytes]]
 
 
 class Eye:
@@ -103,15 +103,6 @@ class Eye:
             return {}, []
         return {}, [encode_mask(mask) for mask in (pictures.observed, pictures.expected, pictures.ignored)]
 
-    def segment(self, blobs: list[bytes], material: dict[str, Any]) -> Answer:
-        """The mask, as a PNG, that these thresholds give on a frame (blobs: JPEG)."""
-        mask = segment_hsv(decode(blobs[0]), HsvThresholds.from_json(material))
-        return {"filament_px": int(cv2.countNonZero(mask))}, [encode_mask(mask)]
-
-    def validate(self, blobs: list[bytes], header: dict[str, Any]) -> Answer:
-        """The header of a recording, read and written again: what is missing or wrong in it is an error here."""
-        return Header.from_json(header).to_json(), []
-
     def close(self) -> None:
         self._renderer_stack.close()
 
@@ -131,25 +122,14 @@ class Eye:
                 self._opened().check(recording.frame(moment), moment)
 
 
-QUESTIONS: dict[str, Callable[..., Answer]] = {
-    name: getattr(Eye, name) for name in ("index", "open", "check", "pictures", "segment", "validate")
-}
+QUESTIONS = ("index", "open", "check", "pictures")
 
 
-def decode(jpeg: bytes) -> np.ndarray:
-    """(H, W, 3) uint8 BGR. Raises FrameError where this is not a picture, or a far too large one."""
-    try:
-        frame = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
-    except (cv2.error, MemoryError):
-        frame = None
-    if frame is None:
-        raise FrameError("The webcam's picture cannot be decoded, or is larger than 30 megapixels. Look at it yourself.")
-    return frame
-
-
-def encode_mask(mask: np.ndarray) -> bytes:
-    """PNG of a (H, W) uint8 mask; quickly, since masks are small either way."""
-    return cv2.imencode(".png", mask, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+def answer(eye: Eye, do: str, blobs: list[bytes], arguments: dict[str, Any]) -> Answer:
+    """Raises MoopError where the question has no answer that the user would like."""
+    if do in QUESTIONS:
+        return getattr(eye, do)(blobs, **arguments)
+    return bench.QUESTIONS[do](blobs, **arguments)
 
 
 def _pack(job: Path, packed: Path) -> None:
@@ -184,7 +164,7 @@ def main() -> int:
             except EOFError:
                 return 0
             try:
-                result, out = QUESTIONS[head["do"]](eye, blobs, **head["arguments"])
+                result, out = answer(eye, head["do"], blobs, head["arguments"])
                 send(answers, {"id": head["id"], "result": result}, out)
             except MoopError as error:
                 send(answers, {"id": head["id"], "error": {"code": error.code, "message": str(error)}})

@@ -134,6 +134,20 @@ class Holds:
         except Exception:  # no connection any more, and with it no hold
             log.warning("The hold could not be released", exc_info=True)
 
+    def where(self, timeout_s: float) -> tuple[float, float, float] | None:
+        """The position of a printer that prints nothing, as it reports it itself; None where it does not in time."""
+        hold = Hold(-1, -1, f"{SETTLE_TAG}:{next(self._numbers)}")
+        with self._lock:
+            if self._hold is not None or self._plan is not None:
+                return None
+            self._hold = hold
+        try:
+            self._printer.commands(["M400", "M114"], tags={hold.tag})
+            hold.over.wait(timeout_s)
+            return hold.position_mm
+        finally:
+            self._hold = None
+
     # --- for the hooks --------------------------------------------------------------------------------------------
 
     def line_queuing(self, command: str, file_pos: int) -> list[Any] | None:

@@ -12,7 +12,8 @@ log = logging.getLogger("octoprint.plugins.moop.setups")
 
 
 class Setups:
-    """Parts of a recording's header (`printer`, `camera`, `cameras`), by profile and webcam, in one JSON file."""
+    """Whatever is found once for a printer profile and a webcam, in one JSON file. For the set-up itself these are the
+    parts `printer`, `camera` and `cameras` of a recording's header."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -20,14 +21,13 @@ class Setups:
     def get(self, profile: str, webcam: str) -> dict[str, Any] | None:
         return self._read().get(_key(profile, webcam))
 
-    def put(self, profile: str, webcam: str, header: dict[str, Any]) -> list[str]:
-        """Keep the parts of a valid header; answers the names of those that changed."""
-        setups = self._read()
-        old = setups.get(_key(profile, webcam), {})
-        new = {name: header[name] for name in ("printer", "camera", "cameras") if name in header}
-        setups[_key(profile, webcam)] = new
-        write_json(self._path, setups)
-        return sorted(name for name in old.keys() | new.keys() if old.get(name) != new.get(name))
+    def put(self, profile: str, webcam: str, parts: dict[str, Any]) -> list[str]:
+        """Keep these in place of what was kept; answers the names of the parts that changed. Raises OSError."""
+        kept = self._read()
+        old = kept.get(_key(profile, webcam), {})
+        kept[_key(profile, webcam)] = parts
+        write_json(self._path, kept)
+        return sorted(name for name in old.keys() | parts.keys() if old.get(name) != parts.get(name))
 
     def _read(self) -> dict[str, Any]:
         try:

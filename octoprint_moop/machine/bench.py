@@ -1,0 +1,105 @@
+"""What the set-up asks of an eye: thresholds tried on a picture, lens and pose found, things to calibrate with.
+
+Each function answers one question; `blobs` are pictures as the webcam sent them. Modules that only one question needs
+are imported by it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+
+from ..core.header import Header, Printer
+from ..core.segment import HsvThresholds, segment_hsv
+from .pictures import decode, encode_mask
+
+Answer = tuple[dict[str, Any], list[bytes]]
+
+
+def segment(blobs: list[bytes], material: dict[str, Any]) -> Answer:
+    """The mask, as a PNG, that these thresholds give on a frame."""
+    mask = segment_hsv(decode(blobs[0]), HsvThresholds.from_json(material))
+    return {"filament_px": int(cv2.countNonZero(mask))}, [encode_mask(mask)]
+
+
+def validate(blobs: list[bytes], header: dict[str, Any]) -> Answer:
+    """The header of a recording, read and written again: what is missing or wrong in it is an error here."""
+    return Header.from_json(header).to_json(), []
+
+
+def printer(blobs: list[bytes], profile: dict[str, Any]) -> Answer:
+    """A header's `printer`, from OctoPrint's printer profile."""
+    from ..core.plate import printer_from_profile
+
+    return printer_from_profile(profile).to_json(), []
+
+
+def markers(blobs: list[bytes], printer: dict[str, Any], plate: dict[str, Any]) -> Answer:
+    """G-code of a marker plate for this printer, and where its markers will lie. plate: fields of PlateSettings."""
+    from ..core.errors import CalibrationError
+    from ..core.plate import PlateSettings, plate_gcode
+
+    try:
+        settings = PlateSettings(**plate)
+    except TypeError as error:
+        raise CalibrationError(f"The plate cannot be made so ({error}).") from None
+    gcode, made = plate_gcode(Printer.from_json(printer), settings)
+    return {"markers": made.to_json()}, [gcode.encode()]
+
+
+def board_picture(blobs: list[bytes], board: str, square_mm: float) -> Answer:
+    """A checkerboard to print on paper, SVG."""
+    from ..core.board import board_svg
+    from ..core.chessboard import Board
+
+    return {}, [board_svg(Board.parse(board, square_mm)).encode()]
+
+
+def find_board(blobs: list[bytes], board: str, square_mm: float) -> Answer:
+    """Whether and where a checkerboard is seen: corners_px, null where it is not."""
+    from ..core.chessboard import Board, find_corners
+
+    frame = decode(blobs[0])
+    corners_px = find_corners(frame, Board.parse(board, square_mm))
+    found = None if corners_px is None else corners_px.reshape(-1, 2).round(2).tolist()
+    return {"corners_px": found, "image_size_px": [frame.shape[1], frame.shape[0]]}, []
+
+
+def lens(blobs: list[bytes], names: list[str], board: str, square_mm: float) -> Answer:
+    """The lens, from pictures of a checkerboard: `moop calibrate lens --json`."""
+    from ..core.calibrate import calibrate_lens
+    from ..core.chessboard import Board
+
+    pictures = [(name, decode(blob)) for name, blob in zip(names, blobs)]
+    return calibrate_lens(pictures, Board.parse(board, square_mm), "auto").to_json(), []
+
+
+def pose(
+    blobs: list[bytes], lens: dict[str, Any], markers: dict[str, Any], material: dict[str, Any] | None = None
+) -> Answer:
+    """The camera's place, from a picture of the marker plate: `moop calibrate pose --json`."""
+    from ..core.calibrate import Lens
+    from ..core.markers import MarkerPlate
+    from ..core.pose import calibrate_pose, calibrate_pose_any_colour
+
+    frame, lens_found, plate = decode(blobs[0]), Lens.from_json(lens), MarkerPlate.from_json(markers)
+    if material is None:
+        return calibrate_pose_any_colour(frame, lens_found, plate).to_json(), []
+    return calibrate_pose(frame, lens_found, plate, HsvThresholds.from_json(material)).to_json(), []
+
+
+def points(blobs: list[bytes], points: Any, lens: dict[str, Any] | None = None, click_px: float = 2.0) -> Answer:
+    """The camera's place, from points clicked on a picture: `moop calibrate points --json`."""
+    from ..core.calibrate import Lens
+    from ..core.clicks import Points, pose_from_points
+
+    height, width = decode(blobs[0]).shape[:2]
+    found = None if lens is None else Lens.from_json(lens)
+    return pose_from_points(Points.from_json(points), (width, height), found, click_px).to_json(), []
+
+
+QUESTIONS = {
+    question.__name__: question
+    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points)
+}
