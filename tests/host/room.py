@@ -70,6 +70,7 @@ class PaintedWebcam:
     slides_at : file position from which on the print has come off the bed, and lies elsewhere
     answer    : what is answered instead of a picture: 404, html, truncated, empty, same, huge, slow
     before    : called before each answer
+    shown     : a JPEG to show instead of the room
     """
 
     def __init__(self) -> None:
@@ -83,6 +84,7 @@ class PaintedWebcam:
         self.answer = "picture"
         self.served = 0
         self.before: Callable[[], None] = lambda: None
+        self.shown = b""
         self._same = b""
         self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
@@ -92,13 +94,15 @@ class PaintedWebcam:
         self._views = ExpectedViews(read_gcode(gcode), camera(), BedMotion("fixed"), CvRenderer())
 
     def reset(self) -> None:
-        self.slides_at, self.answer, self.before = 10**9, "picture", lambda: None
+        self.slides_at, self.answer, self.before, self.shown = 10**9, "picture", lambda: None, b""
 
     def close(self) -> None:
         self._server.shutdown()
         self._server.server_close()
 
     def jpeg(self) -> bytes:
+        if self.shown:
+            return self.shown
         frame = self._bed.copy()
         if self._views is not None:
             file_pos = self.file_pos()
