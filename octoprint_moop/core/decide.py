@@ -1,16 +1,15 @@
 """Has the print failed? A sequential rule on evidence that is measured against this print's own past.
 
 Each check gives, for the whole print and for every labelled object, three figures in parts of the complete
-silhouette: lost matter, stray matter, and the share of fresh matter that is not seen. Each is compared with what it
-was while all was well (median and spread of the good checks, with floors that stand in until there are enough of
-them), which makes *surprises*: how many limits it lies above that. A surprise of 1 is suspect. Surprises add up over
-checks as in Page's cumulative sum (1954), so that two weak ones or one strong one make a failure, and one odd frame
-fades away.
+silhouette: lost matter, stray matter, and fresh matter that is not seen. Each is compared with what it was while all
+was well (median and spread of the good checks, with floors that stand in until there are enough of them), which makes
+*surprises*: how many limits it lies above that. A surprise of 1 is suspect. Surprises add up over checks as in Page's
+cumulative sum (1954), so that two weak ones or one strong one make a failure, and one odd frame fades away.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Sequence
 
@@ -26,7 +25,10 @@ MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete sil
 MATTER_LIMIT_PX = 30
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
-FRESH_PRIOR = 0.75  # the share taken for usual until good checks tell
+FRESH_CHECKS = 4  # so many good checks before shares are compared; until then only barren matter counts
+BARREN_PRIOR = 0.3  # share of barren matter that is let pass until then
+CUSUM_ALONE = 5.0  # so much weak evidence needs no strong one
+PARDON = 1.5  # how much wider a scope's limits become where the user says that it was no failure
 SENSITIVITIES = {"low": 2.0, "medium": 1.0, "high": 0.6}
 
 
@@ -34,18 +36,26 @@ SENSITIVITIES = {"low": 2.0, "medium": 1.0, "high": 0.6}
 class Surprise:
     """One figure of one scope, in limits above its baseline: 1 is as much as is tolerated."""
 
-    kind: str  # "lost", "stray" or "fresh"
+    kind: str  # "lost", "stray", "fresh", or "all" of these together
     size: float
 
 
 @dataclass(frozen=True)
 class Track:
-    """What the good checks of one scope have shown, and the sum of surprises since."""
+    """What the good checks of one scope have shown, and the sum of surprises since.
+
+    wide  : scales all its limits
+    quiet : for so many checks more, missing matter is taken for what is usual from now on
+    """
 
     lost: tuple[float, ...] = ()
     stray: tuple[float, ...] = ()
+    unseen: tuple[float, ...] = ()
+    barren: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
     cusum: float = 0.0
+    wide: float = 1.0
+    quiet: int = 0
 
 
 @dataclass(frozen=True)
@@ -64,28 +74,49 @@ class Outcome:
 
 def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surprise, ...]:
     """How far each figure lies above what this print has shown, largest first. Pure."""
-    wide = SENSITIVITIES[sensitivity]
+    wide = SENSITIVITIES[sensitivity] * track.wide
     total = max(evidence.total_px, 1)
     limit = wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / total)
+    lost = (evidence.lost_px / total - _usual(track.lost)) / limit
+    stray = (evidence.stray_px / total - _usual(track.stray)) / limit
     found = [
-        Surprise("lost", (evidence.lost_px / total - _usual(track.lost)) / limit),
-        Surprise("stray", (evidence.stray_px / total - _usual(track.stray)) / limit),
-        Surprise("fresh", max(_fresh(track, evidence, wide), default=0.0)),
+        Surprise("lost", lost),
+        Surprise("stray", stray),
+        Surprise("fresh", 0.0 if track.quiet else max(_barren(track, evidence, limit), *_fresh(track, evidence, wide))),
+        Surprise("all", lost + stray + _unseen(track, evidence, limit)),
     ]
     return tuple(sorted(found, key=lambda surprise: -surprise.size))
 
 
+def _barren(track: Track, evidence: Evidence, limit: float) -> float:
+    """The surprise that matter well inside the last layers' outline was never seen."""
+    total = max(evidence.total_px, 1)
+    usual = _usual(track.barren)
+    if len(track.barren) < FRESH_CHECKS:
+        usual = max(usual, BARREN_PRIOR * evidence.deep_px / total)
+    return (evidence.barren_px / total - usual) / limit
+
+
+def _unseen(track: Track, evidence: Evidence, limit: float) -> float:
+    """The surprise at how much of the last layers is not seen; 0 until enough checks have told how much is usual."""
+    if len(track.unseen) < FRESH_CHECKS:
+        return 0.0
+    usual = median(track.unseen)
+    spread = 1.4826 * median(abs(value - usual) for value in track.unseen)
+    return max(evidence.unseen_px / max(evidence.total_px, 1) - usual - 3 * spread, 0.0) / limit
+
+
 def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
     """The surprise that fresh matter is not seen, for each window with enough of it."""
-    found = []
+    found = [0.0]
     for past, (new_px, seen_px) in zip(track.seen, evidence.fresh):
-        if new_px < FRESH_LEAST_PX:
+        if new_px < FRESH_LEAST_PX or len(past) < FRESH_CHECKS:
             continue
-        usual = median(past) if len(past) >= 3 else FRESH_PRIOR
-        spread = 1.4826 * median(abs(value - usual) for value in past) if len(past) >= 5 else 0.08
+        usual = median(past)
+        spread = 1.4826 * median(abs(value - usual) for value in past)
         limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * spread) * min(wide, 1.3)
         # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
-        limit += 1.0 / (new_px / 10) ** 0.5 * 0.25
+        limit += 0.25 / (new_px / 10) ** 0.5
         found.append((usual - seen_px / new_px) / limit)
     return found
 
@@ -95,25 +126,40 @@ def judge(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Outcome, 
     found = surprises(track, evidence, sensitivity)
     size = found[0].size
     cusum = max(0.0, track.cusum + min(size, DECISIVE + SLACK) - SLACK)
-    if size >= DECISIVE or (size >= 1 and cusum >= CUSUM_FAILED):
+    if size >= DECISIVE or (size >= 1 and cusum >= CUSUM_FAILED) or (size >= SLACK and cusum >= CUSUM_ALONE):
         verdict = FAILED
     elif size >= 1 or cusum >= 1:
         verdict = SUSPECT
     else:
         verdict = OK
-    return Outcome(evidence.object_id, verdict, found, cusum), Track(track.lost, track.stray, track.seen, cusum)
+    return Outcome(evidence.object_id, verdict, found, cusum), replace(track, cusum=cusum)
 
 
 def learn(track: Track, evidence: Evidence) -> Track:
     """The track with a good check taken into its baseline."""
     total = max(evidence.total_px, 1)
-    seen = tuple(
-        _with(past, seen_px / new_px) if new_px >= FRESH_LEAST_PX else past
-        for past, (new_px, seen_px) in zip(track.seen, evidence.fresh)
+    return replace(
+        track,
+        quiet=max(track.quiet - 1, 0),
+        lost=_with(track.lost, evidence.lost_px / total),
+        stray=_with(track.stray, evidence.stray_px / total),
+        unseen=_with(track.unseen, evidence.unseen_px / total),
+        barren=_with(track.barren, evidence.barren_px / total),
+        seen=tuple(
+            _with(past, seen_px / new_px) if new_px >= FRESH_LEAST_PX else past
+            for past, (new_px, seen_px) in zip(track.seen, evidence.fresh)
+        ),
     )
-    return Track(
-        _with(track.lost, evidence.lost_px / total), _with(track.stray, evidence.stray_px / total), seen, track.cusum
-    )
+
+
+def accept(track: Track) -> Track:
+    """The track where the user goes on with the print as it is: a new past begins."""
+    return Track(wide=track.wide, quiet=FRESH_CHECKS)
+
+
+def pardon(track: Track) -> Track:
+    """The track where the user says that it was no failure: as `accept`, and this scope is less easily surprised."""
+    return Track(wide=track.wide * PARDON, quiet=FRESH_CHECKS)
 
 
 def _usual(past: Sequence[float]) -> float:
@@ -122,5 +168,3 @@ def _usual(past: Sequence[float]) -> float:
 
 def _with(past: tuple[float, ...], value: float) -> tuple[float, ...]:
     return (*past, value)[-GOOD_CHECKS:]
-
-

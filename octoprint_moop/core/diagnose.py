@@ -1,22 +1,43 @@
-"""What kind of failure is it, how large, and since when? From where matter is missing and where it is too much."""
+"""What kind of failure is it, how large, and since when? Each kind is tried as an explanation of what differs.
+
+What differs, cleaned of noise, is lost, stray and unseen matter. Old matter moves only where the print comes off or
+warps; a shift of the axes moves all that came later and leaves the old alone; a clog only leaves out. So the kinds are
+told apart by how much of the difference vanishes once the print is taken to have moved, or to have moved above a
+layer, by the distance that explains most.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Callable, Optional, Protocol
 
 import cv2
 import numpy as np
 
 from .decide import Outcome
-from .evidence import WHOLE, Findings
-from .expected import Expected, PrintMap
+from .evidence import WHOLE, WINDOWS, Findings, Sight
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
 
-BASE_GONE_RATIO = 0.12  # of the lower part's established matter lost: the object no longer stands where it stood
-STANDS_RATIO = 0.05
-SHARE = 0.35  # how much smaller the one of two areas may be to count as its counterpart
+GONE_RATIO = 0.5  # of the standing matter lost: it stands there no more
+OLD_MOVED_RATIO = 0.25  # share of the difference that is old matter's: then the old has moved
+EXPLAINED_RATIO = 0.35  # a movement that takes away less of the difference explains nothing
+COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
+LEAST_MOVE_PX = 2.0
+TURNS_DEG = (0, -8, 8, -16, 16, -25, 25)
+
+
+class Place(Protocol):
+    """What the diagnosis asks of the camera: core/view.py."""
+
+    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+        """(H, W) uint8, 255 where what lies of that object (-1: of everything) from `first_layer` on would be seen alone."""
+
+    def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
+        """(N, 2): where lines of sight through pixels (N, 2) meet the plane z = z_mm, print coordinates."""
+
+    def layer_z_mm(self, layer: int) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -27,139 +48,191 @@ class Diagnosis:
     sentence: str
 
 
-def diagnose(
-    outcome: Outcome,
-    findings: Findings,
-    print_map: PrintMap,
-    expected: Expected,
-    observed: np.ndarray,
-    layer: int,
-    px_per_mm: float,
-) -> Diagnosis:
-    """Name what `outcome` found in its scope. observed: (H, W) uint8; px_per_mm: at the print, for magnitudes."""
-    scope = _Scope(outcome.object_id, findings, print_map, expected, observed, layer)
-    if outcome.leading.kind == "fresh" and scope.lost_ratio < STANDS_RATIO:
-        if scope.stray_px < SHARE * scope.unseen_px:
-            since = scope.first_unseen_layer()
-            return Diagnosis(EXTRUSION_FAILURE, f"No new material is seen since layer {since}.")
-    if scope.lost_px + scope.unseen_px < SHARE * scope.stray_px and scope.base_lost_ratio < BASE_GONE_RATIO:
-        area_mm2 = scope.stray_px / px_per_mm**2
+@dataclass(frozen=True)
+class _Move:
+    """A movement that would explain some of the difference: from where to where its middle went, in picture pixels."""
+
+    from_px: tuple[float, float]
+    to_px: tuple[float, float]
+    explained_ratio: float
+    layer: int = 0
+
+    @property
+    def distance_px(self) -> float:
+        return float(np.hypot(self.to_px[0] - self.from_px[0], self.to_px[1] - self.from_px[1]))
+
+
+def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -> Diagnosis:
+    """Name what `outcome` found in its scope."""
+    scope = _Scope(outcome.object_id, findings, sight)
+    if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1) or scope.lost_px >= OLD_MOVED_RATIO * scope.wrong_px:
+        return _old_moved(scope, place)
+    shift = scope.shift_above(lambda layer: place.covered(outcome.object_id, layer)[findings.window] > 0)
+    if shift:
+        how_far = _distance(place, shift, place.layer_z_mm(shift.layer))
+        return Diagnosis(LAYER_SHIFT, f"Everything above layer {shift.layer} is shifted by about {how_far}.")
+    if scope.stray_px < COUNTERPART_RATIO * scope.unseen_px:
+        since = scope.first_unseen_layer()
+        how_much = "No" if scope.unseen_ratio(since) > 0.8 else "Too little"
+        return Diagnosis(EXTRUSION_FAILURE, f"{how_much} new material since layer {since}.")
+    if scope.stray_px:
+        area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(sight.layer) / 2, findings)
         return Diagnosis(STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it.")
-    if scope.base_lost_ratio >= BASE_GONE_RATIO:
-        if scope.stray_px < 0.1 * scope.lost_px:
-            return Diagnosis(DETACHMENT, "The print is gone from its place.")
-        distance_mm = scope.displacement_px() / px_per_mm
-        return Diagnosis(DETACHMENT, f"The print has come off: it lies about {_rounded(distance_mm)} mm from its place.")
-    if scope.lost_low and scope.stray_px < scope.lost_px:
-        return Diagnosis(WARPING, "A corner has lifted off the bed.")
-    shifted = scope.shift_px()
-    if shifted:
-        above, distance_px = shifted
-        return Diagnosis(
-            LAYER_SHIFT, f"Everything above layer {above} is shifted by about {_rounded(distance_px / px_per_mm)} mm."
-        )
-    if scope.stray_px > scope.lost_px:
-        return Diagnosis(STRAY_MATERIAL, "Material lies beside where it should be.")
-    if outcome.leading.kind == "fresh":
-        return Diagnosis(EXTRUSION_FAILURE, f"Too little new material is seen since layer {scope.first_unseen_layer()}.")
     return Diagnosis(UNKNOWN, "The print no longer looks as it should.")
 
 
+def _old_moved(scope: _Scope, place: Place) -> Diagnosis:
+    """Matter that stood there is lost: the print has come off, or a part of it has lifted."""
+    gone = scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1)
+    if gone and scope.stray_px < 0.15 * scope.lost_px:
+        return Diagnosis(DETACHMENT, "The print is gone from its place.")
+    move = scope.moved_whole()
+    if gone or move:
+        if not move:
+            return Diagnosis(DETACHMENT, "The print has come off.")
+        return Diagnosis(DETACHMENT, f"The print has come off: it lies about {_distance(place, move, 0.0)} from its place.")
+    corner, lift_px = scope.lifted()
+    at = np.array([corner, (corner[0] + 1.0, corner[1])])
+    px_per_mm = 1 / max(float(np.linalg.norm(np.diff(place.on_bed_mm(at, 0.0), axis=0))), 1e-6)
+    off_centre = np.diff(place.on_bed_mm(np.array([scope.middle(), corner]), 0.0), axis=0)[0]
+    return Diagnosis(WARPING, f"The {_corner(off_centre)} has lifted by about {_rounded(lift_px / px_per_mm)} mm.")
+
+
 class _Scope:
-    """The findings of one object, or of the whole print, counted in the ways the modes ask for."""
+    """The findings of one object, or of the whole print, counted in the ways the kinds ask for."""
 
-    def __init__(
-        self, object_id: int, findings: Findings, print_map: PrintMap, expected: Expected, observed: np.ndarray, layer: int
-    ) -> None:
-        inside = np.ones(print_map.layer.shape, bool) if object_id == WHOLE else print_map.owner == object_id
-        around = np.ones(print_map.layer.shape, bool) if object_id == WHOLE else print_map.nearest == object_id
-        self.layer = layer
-        self._layer_of = print_map.layer
-        self._wanted = (expected.mask > 0) & inside
-        self._seen = observed > 0
-        self._around = around
-        self._lost = findings.lost & inside
-        self._stray = findings.stray & around
-        layers = max(layer + 1, 1)
-        self._lost_by_layer = self._by_layer(self._lost, layers)
-        self._wanted_by_layer = self._by_layer(self._wanted, layers)
-        self._seen_by_layer = self._by_layer(self._wanted & self._seen, layers)
-        self.lost_px = int(self._lost_by_layer.sum())
-        self.stray_px = int(np.count_nonzero(self._stray))
-        self.lost_ratio = self.lost_px / max(int(self._wanted_by_layer.sum()), 1)
-        recent = slice(max(0, layers - 4), layers)
-        self.unseen_px = int((self._wanted_by_layer - self._seen_by_layer)[recent].sum())
+    def __init__(self, object_id: int, findings: Findings, sight: Sight) -> None:
+        print_map, window = sight.print_map, findings.window
+        everywhere = np.ones(findings.wanted.shape, bool)
+        inside = everywhere if object_id == WHOLE else print_map.owner[window] == object_id
+        around = everywhere if object_id == WHOLE else print_map.nearest[window] == object_id
+        self._origin_px = np.array([window[1].start, window[0].start], float)
+        self._layer, self._layer_of = sight.layer, print_map.layer[window]
+        self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
+        self._lost, self._unseen = findings.lost & inside, findings.unseen & inside
+        self.stray = findings.stray & around
+        # what is seen, cleaned: the expected mask but for what is worth a word; nothing of the neighbours
+        self._seen = (self._wanted & ~self._lost & ~self._unseen) | self.stray
+        self._foreign = (findings.wanted | (findings.seen & ~around)) & ~self._wanted & ~self.stray
+        self.lost_px, self.stray_px, self.unseen_px, self.standing_px = (
+            int(np.count_nonzero(mask)) for mask in (self._lost, self.stray, self._unseen, self._standing)
+        )
+        self.wrong_px = int(np.count_nonzero(self._wanted ^ self._seen))
 
-    def _by_layer(self, mask: np.ndarray, layers: int) -> np.ndarray:
-        found = self._layer_of[mask]
-        return np.bincount(found[found >= 0], minlength=layers)[:layers]
+    def middle(self) -> tuple[float, float]:
+        """The middle of what stands, in picture pixels."""
+        return tuple(_middle(self._wanted) + self._origin_px)
 
-    @property
-    def base_lost_ratio(self) -> float:
-        """How much of what the first layers cover is lost: the part of an object that nothing but leaving can move."""
-        return self._lost_share(0, self._base_layers)
+    def lifted(self) -> tuple[tuple[float, float], float]:
+        """Where matter is lost, in picture pixels, and how high the largest gap is, in pixels."""
+        gaps = self._lost.sum(axis=0)
+        return tuple(_middle(self._lost) + self._origin_px), float(np.percentile(gaps[gaps > 0], 80)) if gaps.any() else 0.0
 
-    @property
-    def _base_layers(self) -> int:
-        """The layers that make the first third of the silhouette."""
-        covered = np.cumsum(self._wanted_by_layer)
-        return int(np.searchsorted(covered, covered[-1] / 3)) + 1 if covered[-1] else 1
-
-    @property
-    def lost_low(self) -> bool:
-        """Whether what is lost lies low: at the corners' feet, and not further up."""
-        low = self._lost_share(0, self._base_layers)
-        return low > 0.005 and low > 2 * self._lost_share(self._base_layers, self.layer + 1)
-
-    def _lost_share(self, first: int, last: int) -> float:
-        return self._lost_by_layer[first:last].sum() / max(self._wanted_by_layer[first:last].sum(), 1)
+    def unseen_ratio(self, since: int) -> float:
+        """Share of what has come since that layer, and is in sight, that is not seen."""
+        new = self._wanted & (self._layer_of >= since)
+        return np.count_nonzero(new & self._unseen) / max(np.count_nonzero(new), 1)
 
     def first_unseen_layer(self) -> int:
-        """Going back from the last layer, the first of those of which mostly nothing is seen."""
-        first = self.layer
-        for layer in range(self.layer, -1, -1):
-            if self._wanted_by_layer[layer] < 5:
-                continue
-            if self._seen_by_layer[layer] > 0.5 * self._wanted_by_layer[layer]:
-                break
-            first = layer
+        """Going back from the last layer, the first of those of which a good part is not seen."""
+        first = self._layer
+        for layer in range(self._layer, max(self._layer - WINDOWS[-1], -1), -1):
+            new = self._wanted & (self._layer_of == layer)
+            wanted_px = np.count_nonzero(new)
+            if wanted_px >= 5:
+                if np.count_nonzero(new & self._unseen) < 0.3 * wanted_px:
+                    break
+                first = layer
         return first
 
-    def displacement_px(self) -> float:
-        """How far the observed matter's middle lies from the expected one's."""
-        there = _middle(self._seen & self._around)
-        here = _middle(self._wanted)
-        return float(np.hypot(*(there - here)))
+    def moved_whole(self) -> Optional[_Move]:
+        """How what stood there has moved as a whole; None where that doesn't explain what differs."""
+        best: Optional[_Move] = None
+        standing = self._standing if self._standing.any() else self._wanted
+        for turn_deg in TURNS_DEG:
+            move = self._best_move(_turned(standing, turn_deg), np.zeros_like(standing))
+            far = move is not None and (move.distance_px >= LEAST_MOVE_PX or turn_deg)
+            if far and (best is None or move.explained_ratio > best.explained_ratio):
+                best = move
+        return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
 
-    def shift_px(self) -> tuple[int, float] | None:
-        """(layer, pixels): above which layer everything is displaced and by how much; None where it is not so.
+    def shift_above(self, covered: Callable[[int], np.ndarray]) -> Optional[_Move]:
+        """From which layer on everything is displaced; None where that doesn't explain what differs."""
+        best: Optional[_Move] = None
+        for back in (0, 1, 2, 3, 5, 8):
+            layer = self._layer - back
+            if layer < 1 or self.stray_px < 0.2 * self.wrong_px:
+                break
+            lower = self._wanted & (self._layer_of < layer)
+            move = self._best_move(covered(layer), lower)
+            if move and move.distance_px >= LEAST_MOVE_PX and (best is None or move.explained_ratio > best.explained_ratio + 0.03):
+                best = _Move(move.from_px, move.to_px, move.explained_ratio, layer)
+        return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
 
-        The mask of what lies above is moved about until it covers most of what is seen there.
-        """
-        wrong = self._lost_by_layer + (self._wanted_by_layer - self._seen_by_layer)
-        above = int(np.searchsorted(np.cumsum(wrong), 0.05 * max(wrong.sum(), 1)))
-        upper = self._wanted & (self._layer_of >= above)
-        if np.count_nonzero(upper) < 30:
+    def _best_move(self, part: np.ndarray, standing: np.ndarray) -> Optional[_Move]:
+        """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
+        rows, columns = np.nonzero(part)
+        if len(rows) < 20:
             return None
-        reach = 40
-        rows, columns = np.nonzero(upper)
-        top, left = max(rows.min() - reach, 0), max(columns.min() - reach, 0)
-        window = np.s_[top : rows.max() + reach + 1, left : columns.max() + reach + 1]
-        lower = (self._wanted & ~upper)[window]
-        seen = np.where(self._seen[window] & ~lower, 1.0, np.where(lower, 0.0, -0.5)).astype(np.float32)
-        template = upper[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].astype(np.float32)
-        score = cv2.matchTemplate(seen, template, cv2.TM_CCORR)
-        _, best, _, (column, row) = cv2.minMaxLoc(score)
-        unmoved = score[rows.min() - top, columns.min() - left]
-        distance_px = float(np.hypot(row - (rows.min() - top), column - (columns.min() - left)))
-        if distance_px < 1.5 or best < 0.5 * template.sum() or best - unmoved < 0.1 * template.sum():
-            return None
-        return above, distance_px
+        reach = max(24, int(0.6 * max(np.ptp(rows), np.ptp(columns))))
+        pays = np.where(self._seen, 1.0, -1.0)
+        pays[standing | self._foreign] = 0.0
+        pays = cv2.copyMakeBorder(pays.astype(np.float32), reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
+        top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
+        field = pays[top : bottom + 2 * reach, left : right + 2 * reach]
+        template = part[top:bottom, left:right].astype(np.float32)
+        score = cv2.matchTemplate(field, template, cv2.TM_CCORR)
+        _, _, _, (column, row) = cv2.minMaxLoc(score)
+        right_px, down_px = column - reach, row - reach
+        there = cv2.warpAffine(
+            part.astype(np.uint8), np.array([[1.0, 0, right_px], [0, 1.0, down_px]]), part.shape[::-1]
+        )
+        explained = ((there > 0) & ~self._foreign) | standing
+        left_px = int(np.count_nonzero(explained ^ self._seen))
+        middle = _middle(part) + self._origin_px
+        return _Move(tuple(middle), tuple(middle + [right_px, down_px]), 1 - left_px / max(self.wrong_px, 1))
+
+
+def _turned(mask: np.ndarray, turn_deg: float) -> np.ndarray:
+    if not turn_deg or not mask.any():
+        return mask
+    x, y = _middle(mask)
+    matrix = cv2.getRotationMatrix2D((float(x), float(y)), turn_deg, 1.0)
+    return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1]) > 0
 
 
 def _middle(mask: np.ndarray) -> np.ndarray:
     rows, columns = np.nonzero(mask)
-    return np.array([np.median(columns), np.median(rows)]) if len(rows) else np.zeros(2)
+    return np.array([columns.mean(), rows.mean()]) if len(rows) else np.zeros(2)
+
+
+def _distance(place: Place, move: _Move, z_mm: float) -> str:
+    """How far and where to, on the bed: "6 mm to the left"."""
+    right_mm, back_mm = np.diff(place.on_bed_mm(np.array([move.from_px, move.to_px]), z_mm), axis=0)[0]
+    ways = []
+    for size_mm, other_mm, names in ((right_mm, back_mm, ("right", "left")), (back_mm, right_mm, ("back", "front"))):
+        if abs(size_mm) > 0.4 * abs(other_mm):
+            ways.append(names[0] if size_mm > 0 else names[1])
+    return f"{_rounded(float(np.hypot(right_mm, back_mm)))} mm to the {' and the '.join(ways)}"
+
+
+def _area_mm2(place: Place, mask: np.ndarray, z_mm: float, findings: Findings) -> float:
+    x, y = _middle(mask) + [findings.window[1].start, findings.window[0].start]
+    corner, right, down = place.on_bed_mm(np.array([(x, y), (x + 1, y), (x, y + 1)]), z_mm)
+    across, away = right - corner, down - corner
+    # a strand that stands up or lies flat: the pixel's width is sure, its height on the bed is not
+    return float(np.count_nonzero(mask) * min(abs(across[0] * away[1] - across[1] * away[0]), across @ across))
+
+
+def _corner(off_centre_mm: np.ndarray) -> str:
+    right_mm, back_mm = off_centre_mm
+    side = "right" if right_mm > 0 else "left"
+    end = "back" if back_mm > 0 else "front"
+    if abs(right_mm) > 3 * abs(back_mm):
+        return f"{side} side"
+    if abs(back_mm) > 3 * abs(right_mm):
+        return f"{end} side"
+    return f"{end}-{side} corner"
 
 
 def _rounded(value: float) -> str:

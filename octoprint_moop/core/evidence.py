@@ -1,10 +1,17 @@
 """What a frame says about the print: where matter is missing, where there is too much, and since when.
 
 E alone mixes a camera that is a pixel off with a print that fails. So differences are weighed by what this print has
-shown so far, pixel by pixel: matter that was seen in earlier checks and is gone is *lost*; matter that lies where none
-was expected, and did not lie there while all was well, is *stray*; and of the matter that the last layers should have
-added, the *fresh*, the share that is seen is compared with what it was. All three leave out a band of a few pixels
-around every expected edge (`tolerance_px`), within which neither calibration nor segmentation is trusted.
+shown so far, pixel by pixel (`Memory`): matter that was seen in earlier checks and is gone is *lost*; matter that lies
+where none was expected, and did not lie there while all was well, is *stray*; of the matter that the last layers should
+have added, the *fresh*, the share that is seen is compared with what it was; and *barren* is what lies well inside the
+fresh matter's outline and was never seen, which needs no past to be compared with.
+
+Thresholding a picture errs in ways that a look at the picture itself does not. So lost, stray and barren pixels count
+only where the picture bears them out: what is lost now looks more like the bare bed than like the matter that was seen
+there, and what is stray doesn't look like what that pixel showed without it. A lamp that is dimmed passes neither test.
+
+A calibration that is a pixel or two off shows from the first layer on and stays. `Memory` finds the whole-pixel offset
+that explains most of it and looks for the print there; a band of `tolerance_px` about the expected edges is left out.
 """
 
 from __future__ import annotations
@@ -15,12 +22,30 @@ import cv2
 import numpy as np
 
 from .expected import Expected, PrintMap
+from .memory import MOST_MISFIT_PX, Memory
 
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
-SETTLED_LAYERS = 2  # matter of these last layers is fresh, older matter is established
-MEMORY = 0.12  # weight of the newest good check in what a pixel has shown so far
-SEEN_BEFORE, STRAY_BEFORE = 0.6, 0.35
+SPECK_PX = 6
 WHOLE = -1
+
+Window = tuple  # (slice, slice): rows and columns
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One frame made comparable, and what must be seen in it. Pictures are (H, W) or (H, W, 3) uint8.
+
+    frame_bgr : steadied and levelled; observed : 255 where filament is seen; ignored : 255 where nothing can be said
+    layer     : the last layer of which something lies
+    """
+
+    frame_bgr: np.ndarray
+    observed: np.ndarray
+    ignored: np.ndarray
+    expected: Expected
+    print_map: PrintMap
+    layer: int
+    tolerance_px: float
 
 
 @dataclass(frozen=True)
@@ -30,6 +55,8 @@ class Evidence:
     expected_px, total_px : of the expected mask now and of the complete one
     standing_px : established matter that was seen in earlier checks; lost_px : of it, what is seen no more
     stray_px    : matter where none is expected, new since all was well
+    unseen_px   : matter of the last layers that is not seen and looks bare
+    deep_px     : well inside what the last layers cover; barren_px : of it, what was never seen
     fresh       : for each of WINDOWS, pixels that its layers newly cover, and how many of them are seen
     """
 
@@ -39,6 +66,9 @@ class Evidence:
     standing_px: int
     lost_px: int
     stray_px: int
+    unseen_px: int
+    deep_px: int
+    barren_px: int
     xor_px: int
     fresh: tuple[tuple[int, int], ...]
 
@@ -49,10 +79,23 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """The pictures behind the evidence: (H, W) bool; and the evidence of the whole (first) and of each object."""
+    """The evidence of the whole (first) and of each object, and the pictures behind it.
 
+    All pictures are bool, of the shape of `window`: rows and columns of the expected mask about the print.
+
+    wanted : expected now; seen : observed, moved by the misfit; lost, stray : see the module; unseen : fresh matter of
+    the last layers that is not seen; standing : matter seen in earlier checks; hidden_px : so much of what stood there
+    looks neither like matter nor like the bare bed now
+    """
+
+    window: Window
+    wanted: np.ndarray
+    seen: np.ndarray
+    standing: np.ndarray
     lost: np.ndarray
     stray: np.ndarray
+    unseen: np.ndarray
+    hidden_px: int
     scopes: tuple[Evidence, ...]
 
     @property
@@ -60,100 +103,94 @@ class Findings:
         return self.scopes[0]
 
 
-class Memory:
-    """What each pixel of one pose of the bed has shown while all was well."""
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self._seen = np.zeros(shape, np.float32)
-        self._stray = np.zeros(shape, np.float32)
-        self._checks = 0
-
-    def established(self, expected: np.ndarray) -> np.ndarray:
-        """(H, W) bool: expected pixels that have mostly been seen as matter; before the first good check, none."""
-        return (self._seen > SEEN_BEFORE) & expected
-
-    def chronic(self) -> np.ndarray:
-        """(H, W) bool: pixels that look like matter though none is expected, while all is well (a mirror image)."""
-        return self._stray > STRAY_BEFORE
-
-    def learn(self, expected: np.ndarray, observed: np.ndarray, known: np.ndarray) -> None:
-        """Take in a good check, all (H, W) bool: expected and observed matter, and where both are known."""
-        self._checks += 1
-        weight = max(MEMORY, 1 / self._checks)  # a plain mean at first, a fading one later
-        fresh = expected & (self._seen == 0) & observed & known
-        cv2.accumulateWeighted((observed & expected).astype(np.float32), self._seen, weight, known.astype(np.uint8))
-        self._seen[fresh] = 1.0
-        cv2.accumulateWeighted((observed & ~expected).astype(np.float32), self._stray, weight, known.astype(np.uint8))
-
-
-def find(
-    print_map: PrintMap,
-    expected: Expected,
-    layer: int,
-    observed: np.ndarray,
-    ignored: np.ndarray,
-    memory: Memory,
-    tolerance_px: float,
-) -> Findings:
-    """Weigh one frame. observed, ignored: (H, W) uint8, 0 or 255, in the pixels of `expected`.
-
-    layer : the last layer of which something lies
-    """
-    kernel = disc(tolerance_px)
-    matter = expected.mask
-    near_matter = cv2.dilate(matter, kernel) > 0
-    near_observed = cv2.dilate(observed, kernel) > 0
-    known, seen, wanted = ignored == 0, observed > 0, matter > 0
+def find(sight: Sight, memory: Memory) -> Findings:
+    """Weigh one frame against what must be seen and what was seen. Pure; `Memory.learn` is for good checks."""
+    window = about_print(sight.expected.complete)
+    there = memory.moved(window)
+    wanted_u8, observed_u8 = sight.expected.mask[window], sight.observed[there]
+    wanted, observed, known = wanted_u8 > 0, observed_u8 > 0, sight.ignored[there] == 0
+    edge = disc(sight.tolerance_px)
+    near_wanted = cv2.dilate(wanted_u8, edge) > 0
+    near_observed = cv2.dilate(observed_u8, disc(1.5)) > 0
     # a lone line of a bead's width is seen or not as the light falls: only what is wider can be lost
-    wide = cv2.morphologyEx(matter, cv2.MORPH_OPEN, kernel) > 0
-    established = memory.established(wanted) & wide & known
-    lost = established & ~near_observed
-    stray = seen & ~near_matter & known & ~memory.chronic()
-    stray = _without_specks(stray)
+    wide = cv2.morphologyEx(wanted_u8, cv2.MORPH_OPEN, edge) > 0
+    standing = memory.standing(there) & wide & known
+    lost = standing & ~near_observed
+    stray = observed & ~near_wanted & known & ~memory.chronic(there)
+    layer_of = sight.print_map.layer[window]
+    recent = wanted & known & ~memory.given_up(there) & (layer_of > sight.layer - WINDOWS[-1])
+    unseen = recent & ~observed
+    deep = recent & (cv2.erode(wanted_u8, edge) > 0)
+    barren = deep & ~near_observed & ~memory.ever_seen(there)
+    look = cv2.blur(sight.frame_bgr[there], (3, 3))
+    hidden_px = np.count_nonzero(memory.looks_strange(there, look, lost))
+    lost = without_specks(memory.looks_bare(there, look, lost))
+    stray = without_specks(memory.looks_new(there, look, stray))
+    unseen = memory.looks_bare(there, look, unseen)
+    barren &= unseen
+    scopes = _count(sight, window, wanted, observed, known, standing, lost, stray, recent, unseen, deep, barren)
+    return Findings(window, wanted, observed, standing, lost, stray, unseen, int(hidden_px), scopes)
 
+
+def _count(
+    sight: Sight, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray, standing: np.ndarray,
+    lost: np.ndarray, stray: np.ndarray, recent: np.ndarray, unseen: np.ndarray, deep: np.ndarray, barren: np.ndarray,
+) -> tuple[Evidence, ...]:  # fmt: skip
+    print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
-    counts = _Counts(print_map, len(scopes))
-    expected_px = counts.of(wanted & known)
-    total_px = counts.of((expected.birth > 0) & known)
-    standing_px, lost_px = counts.of(established), counts.of(lost)
-    stray_px = counts.near(stray)
-    xor_px = counts.of(wanted & ~seen & known) + counts.near(seen & ~wanted & known)
+    own = _Counter(print_map.owner[window], len(scopes))
+    near = _Counter(print_map.nearest[window], len(scopes))
+    age = sight.layer - print_map.layer[window]
+    figures = {
+        "expected_px": own(wanted & known),
+        "total_px": own((sight.expected.complete[window] > 0) & known),
+        "standing_px": own(standing),
+        "lost_px": own(lost),
+        "stray_px": near(stray),
+        "unseen_px": own(unseen),
+        "deep_px": own(deep),
+        "barren_px": own(barren),
+        "xor_px": own(wanted & ~observed & known) + near(observed & ~wanted & known),
+    }
     fresh = []
-    layer_of = print_map.layer
-    for window in WINDOWS:
-        new = wanted & known & (layer_of > layer - window) & (layer_of <= layer)
-        fresh.append((counts.of(new), counts.of(new & seen)))
-    evidence = tuple(
+    for layers in WINDOWS:
+        new = recent & (age < layers)
+        fresh.append((own(new), own(new & ~unseen)))
+    return tuple(
         Evidence(
-            scope, int(expected_px[n]), int(total_px[n]), int(standing_px[n]), int(lost_px[n]), int(stray_px[n]),
-            int(xor_px[n]), tuple((int(new[n]), int(new_seen[n])) for new, new_seen in fresh),
+            scope,
+            **{name: int(counts[n]) for name, counts in figures.items()},
+            fresh=tuple((int(new[n]), int(seen[n])) for new, seen in fresh),
         )
         for n, scope in enumerate(scopes)
-    )  # fmt: skip
-    return Findings(lost, stray, evidence)
+    )
 
 
-class _Counts:
-    """Counts pixels for the whole print and for each object at once."""
+class _Counter:
+    """Counts a mask's pixels for the whole print and, by whose pixels they are, for each object: (scopes,) int64."""
 
-    def __init__(self, print_map: PrintMap, scopes: int) -> None:
-        self._map, self._scopes = print_map, scopes
+    def __init__(self, owner: np.ndarray, scopes: int) -> None:
+        self._owner, self._scopes = owner, scopes
 
-    def of(self, mask: np.ndarray) -> np.ndarray:
-        """(scopes,) pixels of the mask; an object's are those that only it can cover."""
-        return self._count(mask, self._map.owner)
-
-    def near(self, mask: np.ndarray) -> np.ndarray:
-        """(scopes,) pixels of the mask; an object's are those to which it is the nearest."""
-        return self._count(mask, self._map.nearest)
-
-    def _count(self, mask: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    def __call__(self, mask: np.ndarray) -> np.ndarray:
         counts = np.zeros(self._scopes, np.int64)
         counts[0] = np.count_nonzero(mask)
         if self._scopes > 1 and counts[0]:
-            owners = owner[mask]
+            owners = self._owner[mask]
             counts[1:] = np.bincount(owners[owners >= 0], minlength=self._scopes - 1)[: self._scopes - 1]
         return counts
+
+
+def about_print(complete: np.ndarray) -> Window:
+    """Rows and columns about the complete print, half its size around, that the misfit cannot push out of the picture."""
+    height, width = complete.shape
+    x, y, w, h = cv2.boundingRect(complete)
+    margin = max(w, h) // 2 + 24
+    rim = MOST_MISFIT_PX
+    return (
+        slice(max(y - margin, rim), max(min(y + h + margin, height - rim), rim + 1)),
+        slice(max(x - margin, rim), max(min(x + w + margin, width - rim), rim + 1)),
+    )
 
 
 def disc(radius_px: float) -> np.ndarray:
@@ -163,10 +200,10 @@ def disc(radius_px: float) -> np.ndarray:
     return (x * x + y * y <= radius_px * radius_px + 0.5).astype(np.uint8)
 
 
-def _without_specks(mask: np.ndarray, least_px: int = 6) -> np.ndarray:
+def without_specks(mask: np.ndarray, least_px: int = SPECK_PX) -> np.ndarray:
     """The mask without spots of fewer pixels: noise comes in specks, strands do not."""
-    if not mask.any():
-        return mask
+    if np.count_nonzero(mask) < least_px:
+        return np.zeros_like(mask)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     keep = stats[:, cv2.CC_STAT_AREA] >= least_px
     keep[0] = False

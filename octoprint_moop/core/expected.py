@@ -215,6 +215,14 @@ class ExpectedViews:
             self._maps[drawing] = self._print_map(drawing)
         return self._maps[drawing]
 
+    def covered_at(self, position_mm: tuple[float, float, float], beads: np.ndarray) -> np.ndarray:
+        """(H, W) uint8, 255 where these beads (sorted indices) would be seen if nothing else lay there.
+
+        Raises RenderError where drawing fails.
+        """
+        birth = self._renderer.birth_map(self._toolpath, self._camera, np.array(self.pose(position_mm)), beads)
+        return _between(birth, 0, MOST_BEADS)
+
     def objects_at(
         self,
         file_pos: int,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Callable
 
 import cv2
 import numpy as np
 
 from .compare import Comparison, compare
-from .decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Outcome, Track, judge, learn
+from .decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Outcome, Track, accept, judge, learn, pardon
 from .diagnose import Diagnosis, diagnose
 from .errors import FrameError, SegmentationError
-from .evidence import find
+from .evidence import Findings, Sight, find
 from .expected import Expected, MaskRenderer
 from .hardware import HeadModel
 from .header import Header, Moment
@@ -23,6 +23,8 @@ from .view import View
 
 TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
+HIDDEN_RATIO = 0.02  # of the complete print, that nothing but an obstacle explains
+HIDDEN = "Something stands in the view: a hand, or a tool?"
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 
 
@@ -88,7 +90,27 @@ class Inspector:
         self._views: dict[str | None, View] = {}
         self._tracks: dict[int, Track] = {}
         self._good_checks = 0
+        self._failed_scopes: set[int] = set()
+        self._last: tuple[View, Moment, Sight, Findings] | None = None  # the last check that was judged
         self.pictures: Pictures | None = None
+
+    def accept(self) -> None:
+        """The user goes on with the print as it is: what the last check saw is the new baseline, only what changes
+        from there on is a failure."""
+        self._begin_anew(accept)
+
+    def pardon(self) -> None:
+        """The user says that it was no failure: as `accept`, and what looked like one is less easily surprising."""
+        self._begin_anew(pardon)
+
+    def _begin_anew(self, of: Callable[[Track], Track]) -> None:
+        if self._last is None:
+            return
+        view, moment, sight, findings = self._last
+        view.memory(moment).accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
+        failed = self._failed_scopes or set(self._tracks)
+        self._tracks = {scope: of(track) if scope in failed else accept(track) for scope, track in self._tracks.items()}
+        self._failed_scopes = set()
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
@@ -120,9 +142,9 @@ class Inspector:
         comparison = compare(expected.mask, observed, expected.complete, ignored)
         self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
         if hidden.any():
-            return Check(moment, UNUSABLE, comparison, reason="Something stands in the view: a hand, or a tool?")
+            return Check(moment, UNUSABLE, comparison, reason=HIDDEN)
         view.accept(steady)
-        check = self._judge(view, moment, expected, observed, ignored, comparison)
+        check = self._judge(view, moment, steady.frame, expected, observed, ignored, comparison)
         if check.verdict == OK:
             self._good_checks += 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
@@ -131,28 +153,31 @@ class Inspector:
         return check
 
     def _judge(
-        self, view: View, moment: Moment, expected: Expected, observed: np.ndarray, ignored: np.ndarray,
-        comparison: Comparison,
+        self, view: View, moment: Moment, frame_bgr: np.ndarray, expected: Expected, observed: np.ndarray,
+        ignored: np.ndarray, comparison: Comparison,
     ) -> Check:  # fmt: skip
         """Weigh what differs, for the whole print and for each object, and learn from it where all is well."""
-        print_map, memory = view.print_map(moment), view.memory(moment)
+        memory = view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
         tolerance_px = TOLERANCE_PX * max(1.0, observed.shape[1] / 640)
-        findings = find(print_map, expected, layer, observed, ignored, memory, tolerance_px)
+        sight = Sight(frame_bgr, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
+        findings = find(sight, memory)
+        if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, findings.whole.lost_px):
+            return Check(moment, UNUSABLE, comparison, reason=HIDDEN)
+        self._last = (view, moment, sight, findings)
         outcomes = []
         for evidence in findings.scopes:
             track = self._tracks.get(evidence.object_id, Track())
             outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._settings.sensitivity)
             outcomes.append(outcome)
         worst = max(outcomes, key=_weight)
+        self._failed_scopes |= {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
         if worst.verdict == OK:
-            memory.learn(expected.mask > 0, observed > 0, ignored == 0)
+            memory.learn(findings.window, findings.wanted, frame_bgr, observed, ignored)
             for evidence in findings.scopes:
                 self._tracks[evidence.object_id] = learn(self._tracks[evidence.object_id], evidence)
         diagnoses = {
-            outcome.object_id: diagnose(
-                outcome, findings, print_map, expected, observed, layer, view.px_per_mm(self._toolpath)
-            )
+            outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
             for outcome in outcomes
             if outcome.verdict != OK
         }

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 
 from .adaptive import AdaptiveSegmenter
-from .camera import Camera
+from .camera import BedMotion, Camera
 from .errors import FrameError
-from .evidence import Memory
-from .expected import KEPT_POSES, Expected, ExpectedViews, MaskRenderer, PrintMap
+from .expected import Expected, ExpectedViews, MaskRenderer, PrintMap
 from .hardware import HeadModel
 from .header import Moment, Printer
 from .light import Light
+from .memory import Memory
 from .segment import HsvThresholds, Segmenter, ThresholdSegmenter
 from .stabilise import STILL, CameraTurn, Stabiliser
 from .toolpath import Toolpath
@@ -38,6 +38,36 @@ class SteadyFrame:
     moved: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The print before this camera at one moment; see `diagnose.Place`."""
+
+    toolpath: Toolpath
+    camera: Camera
+    bed: BedMotion
+    expected: ExpectedViews
+    moment: Moment
+
+    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+        """Raises RenderError where drawing fails."""
+        first, end = self.toolpath.layer_start[max(first_layer, 0)], self.toolpath.laid_at(self.moment.file_pos)
+        beads = np.arange(first, max(end, first))
+        if object_id >= 0:
+            beads = beads[self.toolpath.object_id[first:end] == object_id]
+        return self.expected.covered_at(self.moment.position_mm, beads)
+
+    def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
+        shift_mm = self.bed.room_from_print_mm(self.moment.position_mm)
+        rays_room = self.camera.rays(pixels) @ cv2.Rodrigues(self.camera.rvec)[0]
+        centre = self.camera.centre_mm
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = (z_mm + shift_mm[2] - centre[2]) / rays_room[:, 2]
+        return (centre + rays_room * depth[:, None] - shift_mm)[:, :2]
+
+    def layer_z_mm(self, layer: int) -> float:
+        return float(self.toolpath.layer_z_mm[layer])
+
+
 class View:
     """Keeps one camera's reference and what its view looked like last. Frames must come in time order."""
 
@@ -46,9 +76,10 @@ class View:
         material: HsvThresholds | None, segmentation: str, reference_bgr: np.ndarray | None,
         head: HeadModel | None = None,
     ) -> None:  # fmt: skip
-        self._camera, self._printer = camera, printer
+        self._camera, self._printer, self._toolpath = camera, printer, toolpath
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
         self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
+        self._bare_bgr = self._reference_bgr
         self._reference_position_mm = printer.bed.reference_mm
         self.segmenter: Segmenter
         if segmentation == "thresholds" and material is not None:
@@ -59,7 +90,8 @@ class View:
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
         self._stabiliser: Stabiliser | None = None
-        self._memories: dict[tuple[float, ...], Memory] = {}
+        self._memory: Memory | None = None
+        self._memory_position_mm = self._reference_position_mm
 
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
@@ -70,19 +102,28 @@ class View:
         return self._expected.map_at(moment.position_mm, moment.file_pos, parked=moment.parked)
 
     def memory(self, moment: Moment) -> Memory:
-        """What the pixels have shown in this pose of the bed so far."""
-        pose = self._expected.pose(moment.position_mm)
-        if pose not in self._memories:
-            while len(self._memories) >= KEPT_POSES:
-                self._memories.pop(next(iter(self._memories)))
-            self._memories[pose] = Memory(self._camera.image_size_px[::-1])
-        return self._memories[pose]
+        """What the pixels have shown so far, carried along where the bed has moved since."""
+        if self._memory is None:
+            self._memory = Memory(self._bare_bgr, self._camera.image_size_px[::-1])
+            self._memory_position_mm = self._printer.bed.reference_mm if self._bare_bgr is not None else moment.position_mm
+        here, before = self._expected.pose(moment.position_mm), self._expected.pose(self._memory_position_mm)
+        if here != before:
+            self._memory.carried(self._print_motion(np.array(before), np.array(here)))
+        self._memory_position_mm = moment.position_mm
+        return self._memory
 
-    def px_per_mm(self, toolpath: Toolpath) -> float:
-        """Pixels to the millimetre at the middle of the print."""
-        middle = toolpath.bounds_mm().mean(axis=0)
-        depth_mm = (self._camera.camera_from_room @ np.append(middle, 1.0))[2]
-        return float(self._camera.K[0, 0] / max(depth_mm, 1.0))
+    def _print_motion(self, before_mm: np.ndarray, now_mm: np.ndarray) -> np.ndarray:
+        """(3, 3): about where pixels of the print have gone as the bed moved. Exact for none but close for all of it."""
+        low, high = self._toolpath.bounds_mm()
+        box_mm = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, high[2])])
+        pixels = [self._camera.project(box_mm + shift_mm) for shift_mm in (before_mm, now_mm)]
+        if not np.isfinite(pixels).all():
+            return np.eye(3)
+        return cv2.findHomography(*pixels)[0]
+
+    def place(self, moment: Moment) -> Place:
+        """Where things lie at that moment, for a diagnosis."""
+        return Place(self._toolpath, self._camera, self._printer.bed, self._expected, moment)
 
     def steady(self, frame_bgr: np.ndarray, moment: Moment) -> SteadyFrame:
         """Raises FrameError with the reason where the frame cannot be used."""
