@@ -34,10 +34,12 @@ def least_squares(
     outlier: float = np.inf,
     correlated: float = 1.0,
     rounds: int = 40,
+    slopes_of: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Solution:
     """Minimises the sum of squared residuals, those beyond `outlier` counting linearly only.
 
     steps      : (P,) for the numeric slopes, each a small fraction of what matters in that value
+    slopes_of  : (N, P) slopes of the residuals at some values, where they are cheaper than twice P residuals
     correlated : how many neighbouring residuals carry the same error; widens the covariance
     A residual that is not finite counts as twice `outlier`, or 1e3.
     """
@@ -56,9 +58,7 @@ def least_squares(
     slopes = weights = np.empty(0)
     for _ in range(rounds):
         weights = np.minimum(1.0, outlier / np.maximum(np.abs(misses), 1e-12))
-        slopes = np.stack(
-            [(evaluate(values + step) - evaluate(values - step)) / (2 * step.sum()) for step in np.diag(steps)], axis=1
-        )
+        slopes = numeric_slopes(evaluate, values, steps) if slopes_of is None else slopes_of(values)
         normal, pull = slopes.T @ (weights[:, None] * slopes), slopes.T @ (weights * misses)
         for _ in range(12):
             damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
@@ -77,6 +77,15 @@ def least_squares(
     degrees = max(float(weights.sum()) / correlated - len(values), 0.0)
     variance = float((weights * misses**2).sum()) / correlated / degrees if degrees > 0 else np.inf
     return Solution(values, misses, weights, covariance_of(slopes, weights, variance * correlated), slopes)
+
+
+def numeric_slopes(
+    function: Callable[[np.ndarray], np.ndarray], values: np.ndarray, steps: np.ndarray
+) -> np.ndarray:
+    """(..., P) float64: central differences of a function of P values."""
+    return np.stack(
+        [(function(values + step) - function(values - step)) / (2 * step.sum()) for step in np.diag(steps)], axis=-1
+    )
 
 
 def covariance_of(slopes: np.ndarray, weights: np.ndarray, variance: float) -> np.ndarray:

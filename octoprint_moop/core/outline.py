@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -9,48 +11,99 @@ from .camera import Camera
 from .markers import MarkerPlate
 
 _SIDES = 64
+_LEAST_HOLE_PX2 = 30
 _TURN = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
 # A polygon's sides lie within its circle: with this radius they lie on it on average.
 _CIRCLE = np.column_stack([np.cos(_TURN), np.sin(_TURN)]) * (1 + (np.pi / _SIDES) ** 2 / 3)
 
 
-def marker_outline_px(camera: Camera, plate: MarkerPlate, marker: int) -> np.ndarray:
-    """(N, 2) float64: a marker's silhouette, a convex polygon in the camera's own (distorted) pixels.
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A closed convex polygon: rim_mm (N, 3) float64 in the room, seen at px (N, 2) float64 by the camera."""
 
-    It is the hull of both rims: a printed disc is high enough for its side to be seen. NaN behind the camera.
+    rim_mm: np.ndarray
+    px: np.ndarray
+
+
+def marker_outline(camera: Camera, plate: MarkerPlate, marker: int, raised: float = 0.0) -> Outline | None:
+    """A marker's silhouette; None where it is not all before the camera.
+
+    It is the hull of both rims: a printed disc is high enough for its side to be seen. A side in shadow looks lower
+    than it is: its lower rim is taken `raised` by that part of the height.
     """
-    rim = plate.centres_mm[marker][None] + plate.outer_diameter_mm / 2 * _CIRCLE
-    rims = [np.column_stack([rim, np.full(_SIDES, z_mm)]) for z_mm in (plate.height_mm, 0.0)]
-    points = camera.project(np.vstack(rims))
-    if not np.isfinite(points).all():
-        return np.full((3, 2), np.nan)
-    return points[cv2.convexHull(points.astype(np.float32), returnPoints=False).ravel()]
+    rims_mm = _rims_mm(plate, marker, plate.outer_diameter_mm / 2, raised)
+    points = camera.project(rims_mm)
+    if not np.isfinite(points).all() or np.abs(points).max() > 1e5:
+        return None
+    hull = cv2.convexHull(points.astype(np.float32), returnPoints=False).ravel()
+    return Outline(rims_mm[hull], points[hull])
 
 
-def hole_outline_px(camera: Camera, plate: MarkerPlate, marker: int) -> np.ndarray | None:
-    """(N, 2) float64: the ground seen through a marker's hole, the part common to both rims; None where none is."""
+def hole_outline(camera: Camera, plate: MarkerPlate, marker: int, raised: float = 0.0) -> Outline | None:
+    """The ground seen through a marker's hole: the part common to both rims. None where there is none.
+
+    The side seen through the hole faces the same way as the one seen from outside: `raised` as there.
+    """
     if plate.hole_diameter_mm is None:
         return None
-    rim = plate.centres_mm[marker][None] + plate.hole_diameter_mm / 2 * _CIRCLE
-    rims = [camera.project(np.column_stack([rim, np.full(_SIDES, z_mm)])) for z_mm in (plate.height_mm, 0.0)]
-    if not np.isfinite(rims).all() or np.abs(rims).max() > 1e5:
+    rims_mm = _rims_mm(plate, marker, plate.hole_diameter_mm / 2, raised)
+    points = camera.project(rims_mm)
+    if not np.isfinite(points).all() or np.abs(points).max() > 1e5:
         return None
-    area, common = cv2.intersectConvexConvex(rims[0].astype(np.float32), rims[1].astype(np.float32))
-    if area < 30 or common is None:
+    upper, lower = points[:_SIDES], points[_SIDES:]
+    # Of each rim, the part that lies within the other bounds what is seen.
+    kept = np.concatenate([_inside(upper, lower), _inside(lower, upper)])
+    if kept.sum() < 8:
         return None
-    return common.reshape(-1, 2).astype(np.float64)
+    hull = cv2.convexHull(points[kept].astype(np.float32), returnPoints=False).ravel()
+    outline_px = points[kept][hull]
+    if cv2.contourArea(outline_px.astype(np.float32)) < _LEAST_HOLE_PX2:
+        return None
+    return Outline(rims_mm[kept][hull], outline_px)
 
 
-def signed_distance_px(points_px: np.ndarray, polygon_px: np.ndarray) -> np.ndarray:
-    """(N,) float64: distance of points from a convex polygon's border, negative within."""
-    start, side = polygon_px, np.roll(polygon_px, -1, axis=0) - polygon_px
-    length = np.maximum((side**2).sum(axis=1), 1e-12)
-    offset = points_px[:, None] - start[None]
-    along = np.clip((offset * side[None]).sum(axis=2) / length, 0, 1)
-    distance = np.linalg.norm(offset - along[..., None] * side[None], axis=2).min(axis=1)
+def _rims_mm(plate: MarkerPlate, marker: int, radius_mm: float, raised: float) -> np.ndarray:
+    """(2 * sides, 3): the upper circle, then the lower one."""
+    circle = plate.centres_mm[marker][None] + radius_mm * _CIRCLE
+    heights_mm = (plate.height_mm, raised * plate.height_mm)
+    return np.vstack([np.column_stack([circle, np.full(_SIDES, z_mm)]) for z_mm in heights_mm])
+
+
+def _inside(points_px: np.ndarray, polygon_px: np.ndarray) -> np.ndarray:
+    side = np.roll(polygon_px, -1, axis=0) - polygon_px
+    offset = points_px[:, None] - polygon_px[None]
     turn = side[None, :, 0] * offset[..., 1] - side[None, :, 1] * offset[..., 0]
-    inside = (turn >= 0).all(axis=1) | (turn <= 0).all(axis=1)
-    return np.where(inside, -distance, distance)
+    return (turn >= 0).all(axis=1) | (turn <= 0).all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """For points near an outline: distance_px (N,), negative within; the outline's nearest points in the room,
+    feet_mm (N, 3); and its outward normals there, normal (N, 2)."""
+
+    distance_px: np.ndarray
+    feet_mm: np.ndarray
+    normal: np.ndarray
+
+
+def drop_feet(points_px: np.ndarray, outline: Outline) -> Feet:
+    start, side = outline.px, np.roll(outline.px, -1, axis=0) - outline.px
+    length = np.maximum((side**2).sum(axis=1), 1e-12)
+    offset_x = points_px[:, 0][:, None] - start[:, 0][None]
+    offset_y = points_px[:, 1][:, None] - start[:, 1][None]
+    along = np.clip((offset_x * side[:, 0] + offset_y * side[:, 1]) / length, 0, 1)
+    away = (offset_x - along * side[:, 0]) ** 2 + (offset_y - along * side[:, 1]) ** 2
+    nearest = away.argmin(axis=1)
+    rows = np.arange(len(points_px))
+    share = along[rows, nearest][:, None]
+    normal = np.column_stack([side[nearest, 1], -side[nearest, 0]]) / np.sqrt(length[nearest])[:, None]
+    to_middle = outline.px.mean(axis=0) - start[nearest]
+    normal = np.where(((normal * to_middle).sum(axis=1) > 0)[:, None], -normal, normal)
+    off = points_px - (start[nearest] + share * side[nearest])
+    sign = np.where((off * normal).sum(axis=1) >= 0, 1.0, -1.0)
+    end_mm = np.roll(outline.rim_mm, -1, axis=0)[nearest]
+    feet_mm = outline.rim_mm[nearest] * (1 - share) + end_mm * share
+    return Feet(sign * np.sqrt(away[rows, nearest]), feet_mm, normal)
 
 
 def measure_edge_px(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -52,8 +52,7 @@ def model_with_markers(
         ring = trimesh.creation.annulus(settings.hole_diameter_mm / 2, radius_mm, settings.height_mm, sections=128)
         parts.append(ring.apply_translation([x, y, settings.height_mm / 2]))
     plate = MarkerPlate(settings.diameter_mm, settings.height_mm, centres_mm, settings.hole_diameter_mm)
-    whole = trimesh.util.concatenate(parts)
-    return trimesh.Trimesh(whole.vertices, whole.faces, process=False), plate
+    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts)), plate
 
 
 def _around(low: np.ndarray, high: np.ndarray, settings: PlateSettings) -> np.ndarray:

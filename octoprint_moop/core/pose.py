@@ -17,18 +17,20 @@ import numpy as np
 from .assign import Assignment, assignments
 from .camera import Camera
 from .errors import CalibrationError, CameraError
-from .fit import Solution, least_squares
+from .fit import Solution, least_squares, numeric_slopes
 from .calibrate import Lens
 from .lens import outermost_ray
 from .markers import Disc, MarkerPlate, find_discs
-from .outline import hole_outline_px, inner_colour, marker_outline_px, measure_edge_px, signed_distance_px
+from .outline import Feet, drop_feet, hole_outline, inner_colour, marker_outline, measure_edge_px
 from .segment import HsvThresholds, hsv
 
-_STEPS = np.array([1e-4] * 3 + [0.02] * 3 + [0.01])  # radians, mm, px of the edges' common offset
+# Radians, mm; px of the edges' common offset, and by which part of its height a marker's side looks lower than it is.
+_STEPS = np.array([1e-4] * 3 + [0.02] * 3 + [0.01, 0.01])
+_OFFSET_SPREAD_PX, _RAISED_SPREAD = 0.5, 0.3  # how far these usually are from none
 _ALONG_EDGE = 4.0  # neighbouring edge points share their error
 _LEAST_EDGES = 0.4  # of an outline that must be seen
 _STRAY_RATIO = 0.12  # of edge points that may lie off the outlines: something stands in front, or touches a marker
-_STRAY_PX, _STRAY_OF_WIDTH = 1.0, 0.015
+_STRAY_OF_PICTURE, _STRAY_OF_MARKER = 1 / 800, 0.015  # how far is off, of the picture's and a marker's width
 _WORST_OFFSET_PX = 1.5
 _HEIGHT_MM = 100.0  # above the bed, up to which the pose's accuracy is told
 
@@ -77,7 +79,7 @@ class _Fitted:
 
     @property
     def rms_px(self) -> float:
-        return float(np.sqrt((self.solution.residuals[:-1] ** 2).mean()))
+        return float(np.sqrt((self.solution.residuals[:-2] ** 2).mean()))
 
 
 def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: HsvThresholds) -> PoseResult:
@@ -92,22 +94,22 @@ def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: Hs
     discs = find_discs(image, colour)
     picture = image.astype(np.float32)
     fitted = _fit_all(picture, assignments(discs, plate, lens), discs, plate, lens)
-    if not fitted:
+    if not fitted or len(fitted[0].markers) < len(plate.centres_mm):
+        # Three discs can lie as some three of a mirrored plate do by chance; all of them cannot.
         mirrored = plate.mirrored()
-        if len(discs) >= 3 and _fit_all(picture, assignments(discs, mirrored, lens), discs, mirrored, lens):
+        reflected = _fit_all(picture, assignments(discs, mirrored, lens), discs, mirrored, lens)
+        if reflected and (not fitted or len(reflected[0].markers) > len(fitted[0].markers)):
             raise CalibrationError(
                 "The picture is mirrored: the markers lie as if seen in a mirror. Switch off one of the webcam's flips "
                 "(both together turn it by half, which is well), or correct the markers' numbers, and try again."
             )
+    if not fitted:
         raise CalibrationError(_not_found(discs, plate))
     best = fitted[0]
     for other in fitted[1:]:
         apart_px = np.linalg.norm(best.camera.project(plate.tops_mm()) - other.camera.project(plate.tops_mm()), axis=1)
-        if (
-            len(other.markers) == len(best.markers)
-            and other.rms_px < 2 * best.rms_px + 0.3
-            and not np.nanmax(apart_px) < 3.0
-        ):
+        alike = len(other.markers) == len(best.markers) and other.rms_px < 1.5 * best.rms_px + 0.1
+        if alike and not np.nanmax(apart_px) < 3.0:
             raise CalibrationError(
                 "The markers can be taken for each other: two poses fit equally well. Use a plate whose markers do not "
                 "lie in a regular pattern (`moop markers` makes one), and show all of them."
@@ -177,8 +179,8 @@ def _fit_guess(
     picture: np.ndarray, guess: Assignment, discs: Sequence[Disc], plate: MarkerPlate, lens: Lens
 ) -> _Fitted | None:
     """First to the blobs' contours, then to the edges of the picture itself; None where they do not bear it out."""
-    values = np.concatenate([guess.camera.rvec, guess.camera.tvec_mm, [0.0]])
-    contours = {marker: discs[disc].contour_px for marker, disc in guess.pairs}
+    values = np.concatenate([guess.camera.rvec, guess.camera.tvec_mm, [0.0, 0.0]])
+    contours = {marker: _thinned(discs[disc].contour_px) for marker, disc in guess.pairs}
     try:
         rough = _fit_edges(contours, {}, values, plate, lens, outlier_px=1.5)
         if rough.rms > 4.0:
@@ -186,24 +188,41 @@ def _fit_guess(
         values = rough.values
         for reach in (0.35, 0.22, 0.22):
             camera = lens.at(values[:3], values[3:6])
-            edges, holes = _measure(picture, camera, plate, reach, tuple(contours))
+            edges, holes = _measure(picture, camera, plate, _raised(values), reach, tuple(contours))
             if len(edges) < 3:
                 return None
-            solution = _fit_edges(edges, holes, values, plate, lens, outlier_px=0.6)
+            # At 0 nothing pulls the sides up, so a start from higher is tried beside.
+            solution = min(
+                (
+                    _fit_edges(edges, holes, np.append(values[:7], raised), plate, lens, outlier_px=0.6)
+                    for raised in (0.0, 0.4)
+                ),
+                key=lambda tried: tried.rms,
+            )
             values = solution.values
         camera = lens.at(values[:3], values[3:6])
     except CameraError:
         return None
     distance_mm = np.linalg.norm(plate.tops_mm() - camera.centre_mm, axis=1).mean()
     width_px = plate.outer_diameter_mm * camera.K[0, 0] / distance_mm
-    strays = np.abs(solution.residuals[:-1]) > max(_STRAY_PX, _STRAY_OF_WIDTH * width_px)
+    limit_px = max(1.0, _STRAY_OF_PICTURE * lens.image_size_px[0], _STRAY_OF_MARKER * width_px)
+    strays = np.abs(solution.residuals[:-2]) > limit_px
     if strays.mean() > _STRAY_RATIO or abs(values[6]) > _WORST_OFFSET_PX or camera.centre_mm[2] <= plate.height_mm:
         return None
     return _Fitted(camera, solution, tuple(sorted(edges)))
 
 
+def _raised(values: np.ndarray) -> float:
+    """A side never looks higher than it is."""
+    return float(np.clip(values[7], 0.0, 0.9))
+
+
+def _thinned(points_px: np.ndarray) -> np.ndarray:
+    return points_px[:: max(1, len(points_px) // 72)]
+
+
 def _measure(
-    picture: np.ndarray, camera: Camera, plate: MarkerPlate, reach: float, colours_from: Sequence[int]
+    picture: np.ndarray, camera: Camera, plate: MarkerPlate, raised: float, reach: float, colours_from: Sequence[int]
 ) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
     """Edges of outlines and of holes by marker, (N, 2) px each; only markers of which enough is seen.
 
@@ -214,9 +233,9 @@ def _measure(
     known = []
     outlines = {}
     for marker in range(len(plate.centres_mm)):
-        outline_px = marker_outline_px(camera, plate, marker)
-        if np.isfinite(outline_px).all() and np.abs(outline_px).max() < 1e5:
-            outlines[marker] = outline_px
+        outline = marker_outline(camera, plate, marker, raised)
+        if outline is not None:
+            outlines[marker] = outline_px = outline.px
             colour = inner_colour(picture, outline_px) if marker in colours_from else None
             if colour is not None:
                 known.append(colour)
@@ -230,9 +249,9 @@ def _measure(
         edge_px = measure_edge_px(picture, outline_px, reach_px, colour)
         if len(edge_px) >= _LEAST_EDGES * 72:
             edges[marker] = edge_px
-            hole_px = hole_outline_px(camera, plate, marker)
-            if hole_px is not None:
-                holes[marker] = measure_edge_px(picture, hole_px, min(reach_px, 4.0), colour, inwards=True)
+            hole = hole_outline(camera, plate, marker, raised)
+            if hole is not None and hole_outline(camera, plate, marker, 0.0) is not None:
+                holes[marker] = measure_edge_px(picture, hole.px, min(reach_px, 4.0), colour, inwards=True)
     return edges, {marker: hole_px for marker, hole_px in holes.items() if len(hole_px) >= 24}
 
 
@@ -252,25 +271,54 @@ def _fit_edges(
     lens: Lens,
     outlier_px: float,
 ) -> Solution:
-    """rvec, tvec_mm and the edges' common outward offset in px, which blur and the camera's tone curve cause."""
+    """rvec, tvec_mm, the edges' common outward offset in px, which blur and the camera's tone curve cause, and how far
+    the markers' sides look raised, which shadow causes.
 
-    def misses(values: np.ndarray) -> np.ndarray:
+    The last two residuals are those two's own: edges spread, but never far.
+    """
+    count = sum(map(len, [*edges.values(), *holes.values()]))
+
+    def feet(values: np.ndarray) -> list[tuple[Feet, float]] | None:
+        """Each marker's feet, and the sign with which the offset counts; None where one is out of sight."""
         try:
             camera = lens.at(values[:3], values[3:6])
         except CameraError:
-            return np.full(sum(map(len, [*edges.values(), *holes.values()])) + 1, np.nan)
-        parts = [
-            signed_distance_px(edge_px, marker_outline_px(camera, plate, marker)) - values[6]
-            for marker, edge_px in edges.items()
-        ]
-        for marker, edge_px in holes.items():
-            outline_px = hole_outline_px(camera, plate, marker)
-            lost = np.full(len(edge_px), np.nan)
-            parts.append(lost if outline_px is None else signed_distance_px(edge_px, outline_px) + values[6])
-        # Edges spread by blur and tone curve, but never far.
-        return np.concatenate([*parts, [2 * values[6]]])
+            return None
+        found: list[tuple[Feet, float]] = []
+        for measured, outline_of, sign in ((edges, marker_outline, 1.0), (holes, hole_outline, -1.0)):
+            for marker, edge_px in measured.items():
+                outline = outline_of(camera, plate, marker, _raised(values))
+                if outline is None:
+                    return None
+                found.append((drop_feet(edge_px, outline), sign))
+        return found
 
-    return least_squares(misses, start, _STEPS, outlier_px, _ALONG_EDGE)
+    def misses(values: np.ndarray) -> np.ndarray:
+        found = feet(values)
+        if found is None:
+            return np.full(count + 2, np.nan)
+        usual = [values[6] / _OFFSET_SPREAD_PX, values[7] / _RAISED_SPREAD]
+        return np.concatenate([*(foot.distance_px - sign * values[6] for foot, sign in found), usual])
+
+    def slopes(values: np.ndarray) -> np.ndarray:
+        # A foot slides along the outline without changing the distance, so its place in the room may be held.
+        found = feet(values)
+        if found is None:
+            raise CameraError("A marker is out of sight from where the camera was thought to be.")
+        feet_mm, normal = np.vstack([foot.feet_mm for foot, _ in found]), np.vstack([foot.normal for foot, _ in found])
+        moved = numeric_slopes(lambda v: lens.at(v[:3], v[3:]).project(feet_mm), values[:6], _STEPS[:6])
+        of_pose = -(normal[:, :, None] * moved).sum(axis=1)
+        of_offset = np.concatenate([np.full(len(foot.distance_px), -sign) for foot, sign in found])
+        # The lower rim rises as a whole, points between both rims in part.
+        rise_mm = (plate.height_mm - feet_mm[:, 2:]) / (1 - _raised(values)) * [[0, 0, float(values[7] > 0)]]
+        camera = lens.at(values[:3], values[3:6])
+        lifted = (camera.project(feet_mm + 0.05 * rise_mm) - camera.project(feet_mm - 0.05 * rise_mm)) / 0.1
+        of_raised = -(normal * lifted).sum(axis=1)
+        usual = np.zeros((2, 8))
+        usual[0, 6], usual[1, 7] = 1 / _OFFSET_SPREAD_PX, 1 / _RAISED_SPREAD
+        return np.vstack([np.column_stack([of_pose, of_offset, of_raised]), usual])
+
+    return least_squares(misses, start, _STEPS, outlier_px, _ALONG_EDGE, rounds=25, slopes_of=slopes)
 
 
 def pose_error(
@@ -302,13 +350,7 @@ def pose_error(
     if not inside.any():
         return (math.inf, math.inf), (math.inf, math.inf)
     points, distance_mm = points[inside], distance_mm[inside]
-    slopes_px = np.stack(
-        [
-            (place(values + step).project(points) - place(values - step).project(points)) / (2 * step.sum())
-            for step in np.diag(steps)
-        ],
-        axis=-1,
-    )  # points, xy, values
+    slopes_px = numeric_slopes(lambda moved: place(moved).project(points), values, steps)  # points, xy, values
     variance = np.einsum("pij,jk,pik->p", slopes_px, covariance, slopes_px)
     error_px = np.sqrt(np.maximum(variance, 0))
     error_mm = error_px * distance_mm / camera.K[0, 0]
