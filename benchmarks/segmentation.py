@@ -15,17 +15,18 @@ import re
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Iterator, Optional
+from typing import Callable, Optional
 
 import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from octoprint_moop.core.labelled import learn_from_clicks, learn_from_label  # noqa: E402
-from octoprint_moop.core.segment import HsvThresholds, hsv, segment_hsv, thresholds_of  # noqa: E402
+from octoprint_moop.core.labelled import learn_from_clicks, learn_from_label
+from octoprint_moop.core.segment import segment_hsv, thresholds_of
 
 LABELLED = 5
 MARGIN_PX = 10

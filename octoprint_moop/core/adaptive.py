@@ -38,11 +38,12 @@ class AdaptiveSegmenter:
             self._background = count_colours(colours, np.ones(colours.shape[:2], bool))
         self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
         self._model: Optional[ColourModel] = None
+        self._separability = 1.0
 
     @property
     def separability(self) -> float:
-        """0..1: how well filament and background are told apart by colour, see ColourModel; 1 while nothing is known."""
-        return 1.0 if self._filament is None else self._colours().separability
+        """0..1: how well colour told filament from background when last asked, see ColourModel; 1 before."""
+        return self._separability
 
     def observe(self, frame_bgr: np.ndarray, expected: Optional[Expected] = None) -> Observation:
         """frame_bgr : (H, W, 3) uint8; expected : what must be seen, None where nothing is known."""
@@ -54,6 +55,7 @@ class AdaptiveSegmenter:
         if self._plate is not None and self._plate.known.shape == frame_bgr.shape[:2]:
             plate = self._plate.part(region)
         model = self._colours(frame_bgr, expected)
+        self._separability = model.separability
         seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2], model), mask)
         return seen.within(frame_bgr.shape[:2], region)
 
@@ -63,24 +65,27 @@ class AdaptiveSegmenter:
         inside = cv2.erode(expected.mask, np.ones((2 * _INSIDE_PX + 1,) * 2, np.uint8))
         filament = (inside > 0) & (observed.mask > 0) & (observed.unsure == 0)
         if self._plate is not None and self._plate.known.shape == filament.shape:
-            filament &= (self._plate.known > 0) | (_distance(colours, self._plate.colours) > _CHANGED)
+            filament &= self._not_the_bed(colours)
         outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
         background = outside & (observed.mask == 0) & (observed.unsure == 0)
         # its edge too, which is a mixture of both, and so is what lies just outside of it: there they must be told apart
-        edge_px = 2 * _INSIDE_PX + 1
-        near = cv2.dilate(filament.astype(np.uint8), np.ones((2 * edge_px + 1,) * 2, np.uint8)) > 0
-        lies = (expected.mask > 0) & near
-        beside = (cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) > 0) & near
-        beside &= expected.mask == 0
+        edge = _grown(filament, _INSIDE_PX) & _grown(observed.mask > 0, 1) & (expected.mask > 0) & (inside == 0)
+        lies = filament | edge
+        beside = _grown(filament, 2 * _INSIDE_PX + 1) & ~outside & (expected.mask == 0)
         if filament.any():
             known = np.zeros_like(self._background) if self._filament is None else self._filament
             self._filament = _remember(known, count_colours(colours, lies))
-        region = _region(expected, filament.shape)
-        self._background = _remember(
-            self._background, count_colours(colours, (background & _inside(region, filament.shape)) | beside)
-        )
+        around = background & _inside(_region(expected, filament.shape), filament.shape)
+        # the few pixels beside the print count as much as all others: that is where the two must be told apart
+        fringe, rest = count_colours(colours, beside), count_colours(colours, around)
+        fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), 50.0)
+        self._background = _remember(self._background, fringe + rest)
         self._model = None
         self._remember_plate(colours, filament, background)
+
+    def _not_the_bed(self, colours: np.ndarray) -> np.ndarray:
+        """(H, W) bool: False where the plate's background is seen unchanged."""
+        return (self._plate.known >= 0) | (_distance(colours, self._plate.colours) > _CHANGED)
 
     def _remember_plate(self, colours: np.ndarray, filament: np.ndarray, background: np.ndarray) -> None:
         known = np.zeros(colours.shape[:2], np.int8)
@@ -105,7 +110,7 @@ class AdaptiveSegmenter:
         if filament is None:
             lies = expected.mask > 0
             if self._plate is not None and self._plate.known.shape == lies.shape:
-                lies &= _distance(colours, self._plate.colours) > _CHANGED
+                lies &= self._not_the_bed(colours)
             filament = count_colours(colours, lies)
         return ColourModel(filament, background)
 
@@ -115,6 +120,10 @@ def _inside(region: tuple[int, int, int, int], shape: tuple[int, int]) -> np.nda
     inside = np.zeros(shape, bool)
     inside[y0:y1, x0:x1] = True
     return inside
+
+
+def _grown(mask: np.ndarray, by_px: int) -> np.ndarray:
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)) > 0
 
 
 def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -26,7 +26,8 @@ _EXPECTED_WEIGHT = 3.0  # log-odds given to the believed story well inside and w
 _EDGE_PX = 2  # the story's edge is this uncertain: the weight grows from 0 to full over it
 _WRONG_LOOK = -0.3  # support below which the learned colours are not what is seen in this frame
 _ALIKE, _APART = 0.7, 0.85  # separability: below, only neighbours together decide; above, each pixel by itself
-_UNSURE = 0.25  # evidence, after smoothing, that says neither
+# Evidence, after smoothing, that says neither: by the separability, since a chance difference of two alike says little
+_UNSURE = ((0.1, 0.4), (1.0, 0.25))
 _GUIDE_RADIUS_PX, _GUIDE_NOISE = 8, 0.01
 _SAME_LIGHT = 0.02
 
@@ -201,8 +202,9 @@ def weigh(
     if sharp < 1:
         odds = cv2.addWeighted(_along_edges(odds, colours[..., 0]), 1 - sharp, odds, sharp, 0)
     says = cv2.blur(seen, (3, 3))
+    unsure = float(np.interp(model.separability, *_UNSURE))
     if look.step > 1:
         size = frame_bgr.shape[1::-1]
         odds = cv2.resize(odds, size, interpolation=cv2.INTER_LINEAR)
         says = cv2.resize(says, size, interpolation=cv2.INTER_LINEAR)
-    return Observation(cv2.compare(odds, 0, cv2.CMP_GT), cv2.inRange(says, -_UNSURE, _UNSURE))
+    return Observation(cv2.compare(odds, 0, cv2.CMP_GT), cv2.inRange(says, -unsure, unsure))

@@ -1,0 +1,131 @@
+"""The segmenter that learns while it watches: drawn prints that grow, fail, and have the bed's own colour."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from octoprint_moop.core.adaptive import AdaptiveSegmenter
+from octoprint_moop.core.expected import Expected
+from octoprint_moop.core.segment import HsvThresholds
+
+ORANGE, GREY = (40, 120, 235), (60, 58, 62)
+LAYERS, LAYER_PX, BED_ROW = 20, 4, 110
+
+
+def birth_map() -> np.ndarray:
+    """A block 50 px wide; each bead is a layer 4 px high, from the bed upwards."""
+    birth = np.zeros((120, 160), np.uint32)
+    for layer in range(LAYERS):
+        birth[BED_ROW - LAYER_PX * (layer + 1) : BED_ROW - LAYER_PX * layer, 60:110] = layer + 1
+    return birth
+
+
+BIRTH = birth_map()
+
+
+def expected(layers: int) -> Expected:
+    return Expected(BIRTH, layers, max(layers - 1, 0))
+
+
+def bed(colour=GREY, seed: int = 0) -> np.ndarray:
+    frame = np.full((120, 160, 3), colour, np.float64)
+    frame[:30] = (120, 125, 130)
+    frame += np.random.default_rng(seed).normal(0, 4, frame.shape)
+    return np.clip(frame, 0, 255).astype(np.uint8)
+
+
+def printed(mask: np.ndarray, colour=ORANGE, seed: int = 1, on=GREY) -> np.ndarray:
+    frame = bed(on, seed).astype(np.float64)
+    rng = np.random.default_rng(seed + 1000)
+    frame[mask > 0] = np.array(colour) * rng.normal(1, 0.05, (int((mask > 0).sum()), 1))
+    return np.clip(frame + rng.normal(0, 4, frame.shape), 0, 255).astype(np.uint8)
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    union = np.count_nonzero((a > 0) | (b > 0))
+    return np.count_nonzero((a > 0) & (b > 0)) / union if union else 1.0
+
+
+def watched(segmenter: AdaptiveSegmenter, layers: int, colour=ORANGE, on=GREY) -> AdaptiveSegmenter:
+    """The segmenter after `layers` good layers."""
+    for layer in range(1, layers + 1):
+        frame = printed(expected(layer).mask, colour, layer, on)
+        segmenter.learn(frame, expected(layer), segmenter.observe(frame, expected(layer)))
+    return segmenter
+
+
+def test_without_thresholds_the_reference_and_the_first_layers_teach_the_colour():
+    segmenter = watched(AdaptiveSegmenter(None, bed()), 5)
+    for layer in (6, 12, 20):
+        truth = expected(layer).mask
+        assert iou(segmenter.observe(printed(truth, seed=50 + layer), expected(layer)).mask, truth) > 0.95
+
+
+def test_wrong_thresholds_are_outgrown():
+    """Picked for green; the print is orange."""
+    segmenter = watched(AdaptiveSegmenter(HsvThresholds(100, 140, 0.5, 0.3), bed()), 6)
+    truth = expected(10).mask
+    assert iou(segmenter.observe(printed(truth, seed=70), expected(10)).mask, truth) > 0.95
+
+
+@pytest.mark.parametrize("material", [None, HsvThresholds(15, 45, 0.5, 0.3)])
+@pytest.mark.parametrize("reference", [bed(), None])
+def test_a_print_that_stops_at_layer_three_is_not_seen_beyond_it(material, reference):
+    """Even if each empty layer is taken for good and learned from."""
+    segmenter = watched(AdaptiveSegmenter(material, reference), 3)
+    truth = expected(3).mask
+    for layer in range(4, 13):
+        frame = printed(truth, seed=layer)
+        seen = segmenter.observe(frame, expected(layer))
+        segmenter.learn(frame, expected(layer), seen)
+    air = (expected(12).mask > 0) & (truth == 0)
+    assert (seen.mask[air] > 0).mean() < 0.1
+
+
+def test_nothing_printed_at_all_is_never_learned_as_filament():
+    segmenter = AdaptiveSegmenter(None, bed())
+    for layer in range(1, 8):
+        seen = segmenter.observe(bed(seed=layer), expected(layer))
+        segmenter.learn(bed(seed=layer), expected(layer), seen)
+    assert (seen.mask > 0).sum() < 0.1 * (expected(7).mask > 0).sum()
+
+
+def test_matter_of_the_filaments_colour_in_the_wrong_place_is_seen():
+    segmenter = watched(AdaptiveSegmenter(None, bed()), 8)
+    blob = np.zeros((120, 160), np.uint8)
+    blob[80:105, 120:150] = 255
+    seen = segmenter.observe(printed(cv2.bitwise_or(expected(8).mask, blob), seed=33), expected(8))
+    assert (seen.mask[82:103, 122:148] > 0).mean() > 0.95
+
+
+def test_a_part_that_slid_away_is_seen_where_it_is_and_not_where_it_was():
+    segmenter = watched(AdaptiveSegmenter(None, bed()), 10)
+    truth = np.roll(expected(10).mask, 12, axis=1)
+    assert iou(segmenter.observe(printed(truth, seed=5), expected(11)).mask, truth) > 0.85
+
+
+def test_a_print_of_the_beds_own_colour_leaves_the_segmenter_unsure_and_it_says_why():
+    segmenter = watched(AdaptiveSegmenter(None), 8, colour=GREY)
+    seen = segmenter.observe(printed(expected(8).mask, GREY, 9), expected(8))
+    assert (seen.unsure[expected(8).mask > 0] > 0).mean() > 0.3
+    assert segmenter.separability < 0.6
+
+
+def test_a_camera_without_colour_is_served_by_brightness_alone():
+    grey = [cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) for frame in (bed(),)]
+    segmenter = AdaptiveSegmenter(HsvThresholds(15, 45, 0.5, 0.3), cv2.cvtColor(grey[0], cv2.COLOR_GRAY2BGR))
+
+    def infrared(layer: int) -> np.ndarray:
+        frame = printed(expected(layer).mask, (190, 190, 190), layer)
+        return cv2.cvtColor(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+
+    for layer in range(1, 7):
+        segmenter.learn(infrared(layer), expected(layer), segmenter.observe(infrared(layer), expected(layer)))
+    assert iou(segmenter.observe(infrared(12), expected(12)).mask, expected(12).mask) > 0.9
+
+
+def test_the_same_frames_give_the_same_answer():
+    answers = [watched(AdaptiveSegmenter(None, bed()), 4).observe(bed(), expected(4)).mask for _ in range(2)]
+    assert np.array_equal(*answers)
