@@ -102,9 +102,9 @@ def disc():
     return toolpath_of(beads.reshape(-1, 8), layers, role=roles.ravel().astype(np.uint8))
 
 
-def two_posts(**changes):
+def two_posts(first=(100, 80), second=(103, 110), **changes):
     """Two posts in one print, the first (object 0) nearer to the camera, printed layer about."""
-    near, far = vase(10, 24, (100, 80), 5).beads_mm, vase(10, 24, (103, 110), 5).beads_mm
+    near, far = vase(10, 24, first, 5).beads_mm, vase(10, 24, second, 5).beads_mm
     beads = np.concatenate([near.reshape(10, 24, 8), far.reshape(10, 24, 8)], axis=1).reshape(-1, 8)
     return toolpath_of(beads, np.repeat(np.arange(10), 48), np.tile(np.repeat([0, 1], 24), 10), **changes)
 
@@ -145,17 +145,19 @@ def test_each_object_has_its_own_silhouette_and_the_nearer_one_is_seen():
     assert (seen.front[~near & ~far] == module.NOTHING).all()
 
 
-def test_from_behind_the_other_object_is_the_nearer_one():
-    print_ = two_posts()
-    behind = camera_at((100, 280, 9), (100, 100, 2))
-    seen = ExpectedViews(print_, behind, BedMotion(), CvRenderer()).objects_at(10**6, HERE)
+@pytest.mark.parametrize("first, second", [((100, 80), (103, 110)), ((103, 110), (100, 80))])
+@pytest.mark.parametrize("eye", [(100, -80, 9), (100, 280, 9)])
+def test_of_two_objects_the_one_on_the_camera_s_side_is_seen_whatever_their_numbers(first, second, eye):
+    camera = camera_at(eye, (100, 100, 2))
+    seen = ExpectedViews(two_posts(first, second), camera, BedMotion(), CvRenderer()).objects_at(10**6, HERE)
     masks = {}
     for one in seen.objects:
         masks[one.index] = np.zeros(seen.front.shape, bool)
         masks[one.index][one.window] = one.mask > 0
     both = masks[0] & masks[1]
     assert both.any()
-    assert (seen.front[both] == 1).all()
+    nearer = 0 if np.hypot(*np.subtract(first, eye[:2])) < np.hypot(*np.subtract(second, eye[:2])) else 1
+    assert (seen.front[both] == nearer).all()
 
 
 def test_an_unparked_head_is_ignored_where_it_stands():

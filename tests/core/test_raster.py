@@ -67,3 +67,40 @@ def test_both_renderers_draw_the_same_vase(lens):
     assert differ.mean() < 1e-4
     assert not cv2.morphologyEx(differ.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))).any()
     assert (by_gl != by_cv).sum() < 0.005 * (by_gl > 0).sum()
+
+
+@pytest.mark.parametrize("lens", ["5 coefficients", "8 coefficients", "fisheye"])
+def test_a_long_bead_is_bent_as_the_lens_bends_it(renderer, lens):
+    camera = camera_at((100, -60, 120), (100, 100, 0), lens, (1280, 960), 1000.0)
+    ends = np.array([[10.0, 60, 1], [190, 75, 1]])
+    long = renderer.birth_map(toolpath_of([[*ends[0], *ends[1], 1, 1]]), camera, np.zeros(3)) > 0
+    share = np.linspace(0, 1, 361)[:, None]
+    places = ends[0] * (1 - share) + ends[1] * share
+    short = [[*a, *b, 1, 1] for a, b in zip(places[:-1], places[1:])]
+    wanted = CvRenderer().birth_map(toolpath_of(short), camera, np.zeros(3)) > 0
+    chord = CvRenderer().birth_map(toolpath_of([[*ends[0], *ends[1], 1, 1]]), camera.undistorted(), np.zeros(3)) > 0
+    assert (long ^ wanted).sum() < 0.02 * wanted.sum()
+    assert (chord ^ wanted).sum() > 0.2 * wanted.sum()
+    middle = camera.project(places - [0, 0, 0.5]).round().astype(int)
+    middle = middle[((middle >= 0) & (middle < [1280, 960])).all(axis=1)]
+    assert len(middle) > 200
+    assert long[middle[:, 1], middle[:, 0]].all()
+
+
+def test_only_the_beads_asked_for_are_drawn_and_keep_their_numbers(renderer):
+    camera = camera_at((190, -60, 90), (100, 100, 5), "5 coefficients")
+    chosen = np.arange(60, 240, 3)
+    births = renderer.birth_map(vase(), camera, np.zeros(3), chosen)
+    drawn = np.unique(births[births > 0]) - 1
+    assert len(drawn) > 20 and np.isin(drawn, chosen).all()
+    assert not renderer.birth_map(vase(), camera, np.zeros(3), chosen[:0]).any()
+
+
+def test_what_lies_behind_the_camera_or_beyond_its_lens_is_not_drawn(renderer):
+    folding = camera_at((100, 0, 60), (100, 100, 60), focal_px=500)
+    folding = type(folding)(folding.image_size_px, folding.K, [-0.4, 0, 0, 0, 0], folding.rvec, folding.tvec_mm)
+    behind = [[60, -80, 60, 140, -80, 60, 5, 5]]
+    far_aside = [[x, 30, z, x + 1, 30, z, 1, 1] for x in range(48, 58) for z in range(55, 65, 2)]
+    inside = [[100, 100, 60, 101, 100, 60, 5, 5]]
+    births = renderer.birth_map(toolpath_of(behind + far_aside + inside), folding, np.zeros(3))
+    assert set(np.unique(births)) == {0, 2 + len(far_aside)}
