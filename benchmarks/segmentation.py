@@ -18,7 +18,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Optional
+from typing import Callable
 
 import cv2
 import numpy as np
@@ -63,7 +63,7 @@ class Print:
         return (i for i in range(len(self.files)) if i != LABELLED)
 
 
-def iou(a: np.ndarray, b: np.ndarray, box: Optional[tuple[int, int, int, int]] = None) -> float:
+def iou(a: np.ndarray, b: np.ndarray, box: tuple[int, int, int, int] | None = None) -> float:
     if box is not None:
         x0, y0, x1, y1 = box
         a, b = a[y0:y1, x0:x1], b[y0:y1, x0:x1]

@@ -8,41 +8,92 @@ import click
 import cv2
 import numpy as np
 
-from ..core.errors import SegmentationError
+from ..core.camera import Camera
+from ..core.errors import FrameError, SegmentationError
+from ..core.gcode import read_gcode
+from ..core.inspection import Inspector
 from ..core.labelled import LOOK_ALIKE, LearnedFilament, learn_from_label
-from ..machine.recording import read_frame
+from ..machine.recording import Recording, read_frame
+from ..machine.renderers import open_renderer
 from .mask import write_png
+
+PATH = click.Path(path_type=Path)
 
 
 @click.command()
-@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IMAGE… | RECORDING")
-@click.option("--learn", metavar="FRAME=MASK", help="A frame of the same print, and its mask: non-zero is filament.")
-@click.option("--box", metavar="X0,Y0,X1,Y1", help="Look only at this part of the pictures, in pixels.")
-@click.option(
-    "--expected",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="What should be there: one mask an image, in order.",
-)
-@click.option(
-    "-o", "out", required=True, type=click.Path(path_type=Path), help="Folder for the masks; for a RECORDING, the PNG."
-)
+@click.argument("images", nargs=-1, required=True, type=PATH, metavar="RECORDING | IMAGE…")
+@click.option("--frame", help="A frame of the RECORDING, e.g. frames/000012.jpg.")
+@click.option("--distorted", is_flag=True, help="RECORDING: in the frame's own pixels, lens distortion included.")
+@click.option("--learn", metavar="FRAME=MASK", help="IMAGE…: a frame of the same print, and its mask.")
+@click.option("--box", metavar="X0,Y0,X1,Y1", help="IMAGE…: look only at this part of the pictures, in pixels.")
+@click.option("--expected", multiple=True, type=PATH, help="IMAGE…: what should be there, one mask an image, in order.")
+@click.option("-o", "out", required=True, type=PATH, help="RECORDING: the PNG; IMAGE…: the folder for the masks.")
 def segment(
-    images: tuple[Path, ...], learn: str | None, box: str | None, expected: tuple[Path, ...], out: Path
+    images: tuple[Path, ...],
+    frame: str | None,
+    distorted: bool,
+    learn: str | None,
+    box: str | None,
+    expected: tuple[Path, ...],
+    out: Path,
 ) -> None:
     """Write which pixels are filament: 255 for filament, 0 for anything else.
+
+    RECORDING with --frame: what the live plugin would have seen in that frame, after all frames before it.
 
     IMAGE… with --learn: learns from the one labelled frame and segments each image by itself, no camera or G-code
     needed. Writes OUT/<image's stem>.png.
     """
-    if learn is None:
-        raise click.UsageError("Name a labelled frame of the print: --learn FRAME.jpg=MASK.png.")
+    if (frame is None) == (learn is None):
+        raise click.UsageError("Name a frame of a recording (--frame), or a labelled frame for images (--learn).")
+    if frame is not None:
+        if len(images) > 1 or box or expected:
+            raise click.UsageError("--frame wants one RECORDING, without --box and --expected.")
+        _segment_recording(images[0], frame, distorted, out)
+    else:
+        if distorted:
+            raise click.UsageError("--distorted is for a RECORDING: images are never undistorted.")
+        _segment_images(images, learn, _region(box), expected, out)
+
+
+def _segment_recording(folder: Path, frame: str, distorted: bool, out: Path) -> None:
+    """Raises FrameError where nothing can be said about that frame."""
+    opened = Recording.open(folder)
+    last = opened.moment(frame)
+    with opened.job_path() as path:
+        toolpath = read_gcode(path)
+    with open_renderer() as renderer:
+        inspector = Inspector(opened.header, toolpath, renderer, reference_bgr=opened.reference())
+        for moment in opened.moments:
+            inspector.pictures = None
+            check = inspector.check(opened.frame(moment), moment)
+            if moment.frame == frame:
+                break
+    if inspector.pictures is None:
+        raise FrameError(f"{frame}: {check.reason}")
+    observed = inspector.pictures.observed
+    write_png(out, observed if distorted else _undistorted(observed, opened.header.camera(last.camera)))
+
+
+def _undistorted(mask: np.ndarray, camera: Camera) -> np.ndarray:
+    """The mask as a camera with a perfect lens and the same K would have seen it."""
+    rectify = cv2.fisheye.initUndistortRectifyMap if camera.model == "fisheye" else cv2.initUndistortRectifyMap
+    maps = rectify(camera.K, camera.distortion, np.eye(3), camera.K, mask.shape[::-1], cv2.CV_32FC1)
+    return np.where(cv2.remap(mask, *maps, cv2.INTER_LINEAR) > 127, np.uint8(255), np.uint8(0))
+
+
+def _segment_images(
+    images: tuple[Path, ...],
+    learn: str,
+    region: tuple[int, int, int, int] | None,
+    expected: tuple[Path, ...],
+    out: Path,
+) -> None:
     if expected and len(expected) != len(images):
         raise click.UsageError(f"{len(images)} images need as many masks with --expected, not {len(expected)}.")
-    stems = [image.stem for image in images]
-    if len(set(stems)) < len(stems):
+    if len({image.stem for image in images}) < len(images):
         raise click.UsageError("Two images have one name, so that one mask would replace the other. Do them apart.")
-    learned = _learn(learn, _region(box))
+    learned = _learn(learn, region)
     out.mkdir(parents=True, exist_ok=True)
     for number, image in enumerate(images):
         try:
@@ -62,14 +113,15 @@ def _learn(pair: str, region: tuple[int, int, int, int] | None) -> LearnedFilame
         raise SegmentationError(f"{mask}: {error}") from None
     if learned.separability < LOOK_ALIKE:
         click.echo(
-            f"Filament and background look alike here ({100 * learned.separability:.0f} % can be told apart by colour): "
-            "more light or another bed colour would help.", err=True,
-        )  # fmt: skip
+            f"moop: filament and background look alike here ({100 * learned.separability:.0f} % of them can be told "
+            "apart by colour): more light or another bed colour would help.",
+            err=True,
+        )
     return learned
 
 
 def _read_mask(path: Path) -> np.ndarray:
-    """(H, W) uint8, 0 or 255. Whatever is more than half as bright as the brightest."""
+    """(H, W) uint8, 0 or 255: 255 for whatever is more than half as bright as the brightest."""
     grey = cv2.cvtColor(read_frame(path), cv2.COLOR_BGR2GRAY)
     return np.where(grey > int(grey.max()) // 2, np.uint8(255), np.uint8(0))
 

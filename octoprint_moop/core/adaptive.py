@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Optional
 
 import cv2
 import numpy as np
@@ -26,10 +25,10 @@ class AdaptiveSegmenter:
     frame shows it there.
     """
 
-    def __init__(self, material: Optional[HsvThresholds], reference_bgr: Optional[np.ndarray] = None) -> None:
+    def __init__(self, material: HsvThresholds | None, reference_bgr: np.ndarray | None = None) -> None:
         """material : the user's thresholds, None where none are set; reference_bgr : (H, W, 3) uint8, the empty bed."""
         colours = None if reference_bgr is None else opponent(reference_bgr)
-        self._filament: Optional[np.ndarray] = None
+        self._filament: np.ndarray | None = None
         self._background = np.zeros(every_colour().shape[1])
         if material is not None:
             band = segment_hsv(every_colour(), material)[0] > 0
@@ -37,7 +36,7 @@ class AdaptiveSegmenter:
         if colours is not None:
             self._background = count_colours(colours, np.ones(colours.shape[:2], bool))
         self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
-        self._model: Optional[ColourModel] = None
+        self._model: ColourModel | None = None
         self._separability = 1.0
 
     @property
@@ -45,7 +44,7 @@ class AdaptiveSegmenter:
         """0..1: how well colour told filament from background when last asked, see ColourModel; 1 before."""
         return self._separability
 
-    def observe(self, frame_bgr: np.ndarray, expected: Optional[Expected] = None) -> Observation:
+    def observe(self, frame_bgr: np.ndarray, expected: Expected | None = None) -> Observation:
         """frame_bgr : (H, W, 3) uint8; expected : what must be seen, None where nothing is known."""
         region = _region(expected, frame_bgr.shape[:2])
         x0, y0, x1, y1 = region
@@ -97,7 +96,7 @@ class AdaptiveSegmenter:
         known[background], known[filament] = -1, 1
         self._plate = Plate(picture, known)
 
-    def _colours(self, frame_bgr: Optional[np.ndarray] = None, expected: Optional[Expected] = None) -> ColourModel:
+    def _colours(self, frame_bgr: np.ndarray | None = None, expected: Expected | None = None) -> ColourModel:
         """The colours learned; before any, those of this frame: matter where it must lie and the bed does not show."""
         if frame_bgr is None or expected is None or (self._filament is not None and self._background.any()):
             if self._model is None:
@@ -136,7 +135,7 @@ def _distance(colours: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.sqrt((difference * difference).sum(axis=-1))
 
 
-def _region(expected: Optional[Expected], shape: tuple[int, int]) -> tuple[int, int, int, int]:
+def _region(expected: Expected | None, shape: tuple[int, int]) -> tuple[int, int, int, int]:
     """The part of the view that is looked at: about the complete print, half its size around; all of it without one."""
     height, width = shape
     x, y, w, h = (0, 0, 0, 0) if expected is None else cv2.boundingRect(expected.complete)

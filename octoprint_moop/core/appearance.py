@@ -8,7 +8,6 @@ unchanged pixel as what it was, which tells a black print from a black gantry wh
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Optional
 
 import cv2
 import numpy as np
@@ -138,7 +137,7 @@ def _stay_table() -> np.ndarray:
 _STAY = _stay_table()
 
 
-def evidence(colours: np.ndarray, model: ColourModel, plate: Optional[Plate] = None) -> np.ndarray:
+def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None) -> np.ndarray:
     """(H, W) float32: log likelihood ratio of filament against background, within +-EVIDENCE_MAX.
 
     A pixel known to have shown filament shows, if filament, either the same as then or any filament colour; likewise

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Optional
 
 import cv2
 import numpy as np
@@ -38,15 +37,20 @@ class LearnedFilament:
         """0..1, see ColourModel; below LOOK_ALIKE more light or another bed colour is needed."""
         return self.model.separability
 
-    def segment(self, frame_bgr: np.ndarray, expected: Optional[np.ndarray] = None) -> Observation:
+    def segment(self, frame_bgr: np.ndarray, expected: np.ndarray | None = None) -> Observation:
         """expected : (H, W) uint8, what the render says is there, right or wrong.
 
-        Raises SegmentationError where the frame is not of the labelled frame's size.
+        Raises SegmentationError where the frame is not of the labelled frame's size, or the mask not of the frame's.
         """
         if frame_bgr.shape[1::-1] != self.frame_size_px:
             raise SegmentationError(
                 f"The picture is {frame_bgr.shape[1]}x{frame_bgr.shape[0]}, but the labelled one was "
                 f"{self.frame_size_px[0]}x{self.frame_size_px[1]}. Use pictures of one camera at one size."
+            )
+        if expected is not None and expected.shape != frame_bgr.shape[:2]:
+            raise SegmentationError(
+                f"The expected mask is {expected.shape[1]}x{expected.shape[0]}, but its picture "
+                f"{frame_bgr.shape[1]}x{frame_bgr.shape[0]}. Draw it for that picture."
             )
         x0, y0, x1, y1 = self.region
         crop = np.ascontiguousarray(frame_bgr[y0:y1, x0:x1])
@@ -56,7 +60,7 @@ class LearnedFilament:
 
 
 def learn_from_label(
-    frame_bgr: np.ndarray, mask: np.ndarray, region: Optional[tuple[int, int, int, int]] = None
+    frame_bgr: np.ndarray, mask: np.ndarray, region: tuple[int, int, int, int] | None = None
 ) -> LearnedFilament:
     """What a labelled frame teaches.
 
@@ -98,7 +102,7 @@ def learn_from_clicks(
     frame_bgr: np.ndarray,
     filament_px: Sequence[tuple[int, int]],
     background_px: Sequence[tuple[int, int]],
-    region: Optional[tuple[int, int, int, int]] = None,
+    region: tuple[int, int, int, int] | None = None,
 ) -> LearnedFilament:
     """What a few points clicked on filament and on background teach: the clicked print is cut out (GrabCut, Rother et
     al. 2004, once, at reduced size), then learned from as if it had been labelled.
@@ -114,7 +118,7 @@ def label_from_clicks(
     frame_bgr: np.ndarray,
     filament_px: Sequence[tuple[int, int]],
     background_px: Sequence[tuple[int, int]],
-    region: Optional[tuple[int, int, int, int]] = None,
+    region: tuple[int, int, int, int] | None = None,
 ) -> np.ndarray:
     """(H, W) uint8, 255 on what the clicks point out as filament. Errors as in `learn_from_clicks`."""
     height, width = frame_bgr.shape[:2]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional
 
 import cv2
 import numpy as np
@@ -42,13 +41,13 @@ class Look:
     step       : the region's size over the work's size
     """
 
-    plate: Optional[Plate]
+    plate: Plate | None
     place: np.ndarray
     underneath: np.ndarray
     step: int
 
     @classmethod
-    def without_label(cls, plate: Optional[Plate], shape: tuple[int, int], model: ColourModel) -> Look:
+    def without_label(cls, plate: Plate | None, shape: tuple[int, int], model: ColourModel) -> Look:
         """Nothing is known about where filament is."""
         step = _step(shape, model)
         nothing = np.zeros(_work_shape(shape, step), np.float32)
@@ -166,8 +165,8 @@ def weigh(
     frame_bgr: np.ndarray,
     model: ColourModel,
     look: Look,
-    expected: Optional[np.ndarray] = None,
-    gain: Optional[np.ndarray] = None,
+    expected: np.ndarray | None = None,
+    gain: np.ndarray | None = None,
 ) -> Observation:
     """The region's pixels that are filament, and those on which neither is said.
 

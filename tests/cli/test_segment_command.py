@@ -82,3 +82,31 @@ def test_masks_that_would_replace_each_other_are_refused(pictures):
     (other / "later.jpg").write_bytes((pictures / "later.jpg").read_bytes())
     result = run(pictures / "later.jpg", other / "later.jpg", "--learn", learned(pictures), "-o", pictures / "out")
     assert result.exit_code == 2 and "one name" in result.output
+
+
+def test_the_expected_mask_must_fit_its_image(pictures):
+    cv2.imwrite(str(pictures / "small.png"), np.zeros((60, 80), np.uint8))
+    result = run(
+        pictures / "later.jpg", "--learn", learned(pictures), "--expected", pictures / "small.png", "-o", pictures / "out"
+    )  # fmt: skip
+    assert result.exit_code == 2 and "80x60" in result.output
+
+
+def test_a_recordings_frame_gives_what_the_pipeline_saw_in_it(shared, tmp_path):
+    case = shared / "cases" / "cube-clean"
+    result = run(case, "--frame", "frames/000012.jpg", "--distorted", "-o", tmp_path / "seen.png")
+    assert result.exit_code == 0, result.output
+    seen = cv2.imread(str(tmp_path / "seen.png"), cv2.IMREAD_UNCHANGED)
+    truth = cv2.imread(str(case / "frames" / "000012.mask.png"), cv2.IMREAD_UNCHANGED)
+    both, either = np.count_nonzero((seen > 0) & (truth > 0)), np.count_nonzero((seen > 0) | (truth > 0))
+    assert both / either > 0.93
+
+
+def test_a_frame_that_the_recording_lacks_is_named(shared, tmp_path):
+    result = run(shared / "cases" / "cube-clean", "--frame", "frames/999999.jpg", "-o", tmp_path / "seen.png")
+    assert result.exit_code == 2 and "999999" in result.output
+
+
+@pytest.mark.parametrize("words", [["--frame", "a.jpg", "--learn", "b=c"], ["--frame", "a.jpg", "--box", "1,2,3,4"]])
+def test_the_two_forms_do_not_mix(pictures, words):
+    assert run(pictures / "later.jpg", *words, "-o", pictures / "out").exit_code == 2

@@ -123,7 +123,7 @@ def test_a_label_that_cannot_teach_is_refused_with_the_reason(mask, region, reas
 
 def test_a_picture_of_another_size_is_refused_with_both_sizes():
     learned = learn_from_label(*scene(40))
-    with pytest.raises(SegmentationError, match="80x60.*160x120"):
+    with pytest.raises(SegmentationError, match=r"80x60.*160x120"):
         learned.segment(np.zeros((60, 80, 3), np.uint8))
 
 

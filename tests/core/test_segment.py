@@ -71,7 +71,7 @@ def test_a_darker_shade_of_the_clicked_filament_is_still_filament():
 
 @pytest.mark.parametrize("points", [[], [(500, 3)], [(-1, 3)]])
 def test_clicks_that_say_nothing_are_refused_with_a_reason(points):
-    with pytest.raises(SegmentationError, match="[Cc]lick"):
+    with pytest.raises(SegmentationError, match=r"[Cc]lick"):
         suggest_thresholds(picture((1, 2, 3)), points)
 
 
