@@ -34,9 +34,9 @@ SHORT_RUN = 24  # rows; for fewer the interpreter is quicker than numpy
 LEAST_E_VALUES = 8  # fewer extruding moves do not tell absolute from relative E
 BOM = b"\xef\xbb\xbf"
 
-_E_MODE = re.compile(
-    rb"^[ \t]*(?:(M0*8[23]\b|G0*92\b)"
-    rb"|G0*[123][ \t][^;\r\n]*?[XY][^;\r\n]*?E[ \t]*(\d+\.?\d*|\.\d+))",
+_E_MODE = re.compile(  # of bounded width: an unbounded one takes quadratic time on a long line of rubbish
+    rb"^[ \t]{0,8}(?:(M0*8[23]\b|G0*92\b)"
+    rb"|G0{0,8}[123][ \t][^;\r\n]{0,60}?[XY][^;\r\n]{0,60}?E[ \t]?(\d{1,12}\.?\d{0,12}|\.\d{1,12}))",
     re.MULTILINE | re.IGNORECASE,
 )
 # Lines that cannot change how moves are read: comments, object labels, macros, and M codes other than these.

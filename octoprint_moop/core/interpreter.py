@@ -19,13 +19,13 @@ from .said import Said
 
 FARTHEST_MM = 1e6  # a coordinate beyond is a damaged line, not a place
 LEAST_FEED_MM = 1e-7
+LONGEST_COMMAND = 4096  # characters; the polygon of an object may be long, but nothing that moves is
 FAR_MM = 20.0  # a head this far beyond a layer does not stand before it
 INCH_MM = 25.4
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 _COMMAND = re.compile(r"\s*(?:N\s*\d+\s*)?([GMT])\s*(\d{1,6})(?:\.(\d+))?", re.IGNORECASE)
 _MACRO = re.compile(r"\s*(?:N\s*\d+\s*)?([A-Za-z_]\w*)\s*(.*)")
-_PARENTHESES = re.compile(r"\([^)]*\)")
 _NAMED = re.compile(r"\bNAME=(\"[^\"]*\"|'[^']*'|\S+)", re.IGNORECASE)
 
 # Commands that neither move nor extrude nor wait: a layer's retraction may have them in its midst.
@@ -86,8 +86,7 @@ class Interpreter:
         code, semicolon, comment = line.partition(";")
         if semicolon:
             self.comment(comment)
-        if "(" in code:
-            code = _PARENTHESES.sub(" ", code)
+        code = _outside_parentheses(code[:LONGEST_COMMAND])
         if not code.strip():
             return
         command = _COMMAND.match(code)
@@ -358,3 +357,17 @@ class Interpreter:
             name = labels.current() if labels else None
         if name is not None:
             self.said.cancelled.append(("exclude_object", name, end_pos))
+
+
+def _outside_parentheses(code: str) -> str:
+    """Code without its comments in parentheses; one that is not closed stays."""
+    if "(" not in code:
+        return code
+    kept, rest = [], code
+    while True:
+        before, opened, after = rest.partition("(")
+        _, closed, behind = after.partition(")")
+        if not (opened and closed):
+            return " ".join([*kept, rest])
+        kept.append(before)
+        rest = behind

@@ -1,0 +1,196 @@
+"""The reader that executes whole runs of moves against a plain one that goes line by line."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from octoprint_moop.core import gcode
+from octoprint_moop.core.errors import GcodeError
+from octoprint_moop.core.gcode import looks_relative, read_gcode_bytes
+from octoprint_moop.core.rows import OTHER, split
+
+from .plain_reader import plain_read
+
+
+def assert_read_alike(data: bytes) -> None:
+    plain = plain_read(data, looks_relative(data[: gcode.HEAD_BYTES]))
+    if not plain["beads"]:
+        with pytest.raises(GcodeError):
+            read_gcode_bytes(data)
+        return
+    toolpath = read_gcode_bytes(data)
+    starts, ends, _, positions = (np.array(column) for column in zip(*plain["beads"]))
+    np.testing.assert_array_equal(toolpath.end_pos, positions)
+    # float32 of numbers up to 1e6, and two ways to add up relative moves
+    np.testing.assert_allclose(toolpath.beads_mm[:, :3], starts, rtol=2e-6, atol=2e-4)
+    np.testing.assert_allclose(toolpath.beads_mm[:, 3:6], ends, rtol=2e-6, atol=2e-4)
+    assert toolpath.bytes == plain["bytes"]
+    last = toolpath.layer_start[1:] - 1
+    tails = [plain["tails"].get(bead, int(positions[bead])) for bead in last.tolist()]
+    assert (toolpath.layer_end_pos >= tails).all()  # later only where the file parks the head
+
+
+def number(low: float, high: float, decimals: int = 3) -> st.SearchStrategy[str]:
+    def text(value: float, style: int) -> str:
+        said = f"{value:.{decimals}f}"
+        short = said.rstrip("0").rstrip(".") or "0"
+        return {0: said, 1: short, 2: short.replace("0.", ".", 1) if short.lstrip("-").startswith("0.") else short}[
+            style
+        ]
+
+    return st.builds(text, st.floats(low, high, allow_nan=False), st.integers(0, 2))
+
+
+def words(letters: str, low: float, high: float) -> st.SearchStrategy[str]:
+    return st.builds(
+        lambda said: "".join(f" {letter}{value}" for letter, value in said.items()),
+        st.dictionaries(st.sampled_from(letters), number(low, high), min_size=1, max_size=len(letters)),
+    )
+
+
+PLAIN = st.builds(
+    lambda g, place, e: f"{g}{place}{e}",
+    st.sampled_from(["G0", "G1", "G1", "G1"]),
+    words("XYZF", -50, 250),
+    st.one_of(st.just(""), number(-5, 5, 5).map(" E{}".format)),
+)
+ARCS = st.builds(
+    lambda g, place, e: f"{g}{place}{e}",
+    st.sampled_from(["G2", "G3"]),
+    words("XYZIJRP", -20, 20),
+    st.one_of(st.just(""), number(0, 5, 5).map(" E{}".format)),
+)
+MODES = st.sampled_from(
+    [
+        "G90", "G91", "M82", "M83", "G20", "G21", "G28", "G28 X0 Y0", "G92", "G92 E0", "G92 E1.5", "G92 X10 Y-3", "G10",
+        "G11", "G10 P0 S200", "G10 S1", "T0", "T1", "M221 S94", "M200 D1.75", "M200 D0", "M600", "G4 P1", "M106 S255",
+        "M204 S1000", ";TYPE:Perimeter", ";WIDTH:0.45", "; printing object a id:0 copy 0", "@Object a", "PRINT_START",
+        "M117 X1 Y2 E3", "(a comment) G1 X1", "", "   ", "M486 S1", "EXCLUDE_OBJECT_START NAME=a", "G17", "M73 P1",
+    ]
+)  # fmt: skip
+ODD = st.sampled_from(
+    [
+        "g1 x10 y20 e.5", "G1X5Y6E1", "N12 G1 X3 Y4 E1*71", "G01 X1 Y2 E3", "G1 X 7 Y8 E2", "G1  X7 Y8 E2",
+        "G1\tX2 E1",
+        "G1 X1 Y2 E3 ; X99", "G1 X1 Y2 E3;E9", "G1 X1 Y2 E3 (X9)", "G1 X--5 E1", "G1 X1.2.3 E1", "G1 X E2", "G1 X+4 E1",
+        "G1 X5- E1", "G1 X1e3 E1", "G1 X9999999999 E1", "G1 X12345678901234567890 E1", "G1 X- E1", "G1 X. E1",
+        "G1 5 X3", "G1 X1 X2 Y3 E1", "G1 X1 Y2 E1 \u00e9", "; \u00e9\u4e2d", "G1 X3 Y3 E1   ", "  G1 X4 E1", "G2.1 X3",
+        "G5 X1 Y1 E1",
+        "G1", "G1 ", "G", "\u00e9", "G92 E", "G92 X0 E0", "G10;", "G11 ; x", "G1 X0.000001 E1", "G2 X1 Y1 E1",
+        "G3 I5 E2",
+    ]
+)  # fmt: skip
+LINE = st.one_of(PLAIN, PLAIN, PLAIN, ARCS, MODES, ODD)
+FILES = st.builds(
+    lambda lines, endings, last: b"".join(
+        line.encode() + endings[i % len(endings)] for i, line in enumerate(lines)
+    )[: None if last else -1],
+    st.lists(LINE, min_size=1, max_size=120),
+    st.lists(st.sampled_from([b"\n", b"\n", b"\n", b"\r\n"]), min_size=1, max_size=3),
+    st.booleans(),
+)  # fmt: skip
+
+
+@settings(max_examples=120, deadline=None)
+@given(FILES)
+def test_any_mixture_of_lines_is_read_as_line_by_line(data):
+    assert_read_alike(data)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(PLAIN, min_size=30, max_size=200), st.sampled_from(["", "M83\n", "G91\n", "M83\nG91\nG20\n", "G92 X5\n"])
+)
+def test_long_runs_of_moves_are_read_as_line_by_line(lines, mode):
+    assert_read_alike((mode + "\n".join(lines) + "\n").encode())
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.one_of(PLAIN, ARCS), min_size=30, max_size=60), st.integers(16, 400))
+def test_where_a_chunk_is_cut_makes_no_difference(lines, chunk_bytes):
+    data = ("M83\n" + "\n".join(lines)).encode()
+    before = gcode.CHUNK_BYTES
+    gcode.CHUNK_BYTES = chunk_bytes
+    try:
+        assert_read_alike(data)
+    finally:
+        gcode.CHUNK_BYTES = before
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.binary(max_size=400),
+    st.lists(st.sampled_from([b"G1 X1 Y2 E1\n", b"G1 ", b"E", b"\n", b"\r", b"G2 I"]), max_size=20),
+)
+def test_rubbish_is_read_or_refused_but_never_crashes(rubbish, pieces):
+    data = b"".join(piece + rubbish[i * 7 : i * 7 + 7] for i, piece in enumerate(pieces)) + rubbish
+    try:
+        toolpath = read_gcode_bytes(data)
+    except GcodeError as refused:
+        assert str(refused)
+    else:
+        assert np.isfinite(toolpath.beads_mm).all()
+        assert (np.diff(toolpath.end_pos) >= 0).all()
+        assert (np.diff(toolpath.layer_start) > 0).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.binary(max_size=30).filter(lambda raw: b"\0" not in raw), min_size=1, max_size=10))
+def test_positions_are_counted_as_octoprint_counts_them(comments):
+    """OctoPrint reads with errors="replace" and counts what it would write again (`comm.py`, `_get_next_from_job`)."""
+    data, expected = b"M83\nG1 X1 Y1 E1\n", [16]
+    for k, comment in enumerate(comments):
+        line = b";" + comment.replace(b"\n", b"").replace(b"\r", b"") + b"\n" + f"G1 X{2 + k} Y1 E1\n".encode()
+        expected.append(expected[-1] + len(line.decode("utf-8", "replace").encode("utf-8")))
+        data += line
+    with io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", errors="replace", newline="") as file:
+        assert sum(len(line.encode("utf-8")) for line in file) == expected[-1]
+    np.testing.assert_array_equal(read_gcode_bytes(data).end_pos, expected)
+
+
+@pytest.mark.parametrize(
+    "line", ["G1 X1 Y2 E3", "G0 X1", "G1 X-1.5 Y.5 F1800", "G2 X1 Y1 I-.5 J2 E1", "G92 E0", "G10", "G11"]
+)
+def test_usual_lines_are_rows(line):
+    assert split(line.encode() + b"\n").kind[0] != OTHER
+    assert split(line.encode() + b" ; comment X9\r\n").kind[0] != OTHER
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "g1 x1",
+        "G1X1",
+        "G1  X1",
+        "G1 X1 2",
+        "G1 X1Y2",
+        "G1 X",
+        "G1 X1.2.3",
+        "G1 X--1",
+        "G1 X1-",
+        "G92 E0 X1",
+        "G10 P1",
+        "G1 X12Y2",
+    ],
+)
+def test_unusual_lines_are_left_to_the_interpreter(line):
+    assert split(line.encode() + b"\nG1 X1\n").kind.tolist() == [OTHER, 0]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(number(-9999, 9999, 5), min_size=1, max_size=20))
+def test_numbers_are_read_to_the_last_bit(numbers):
+    lines = split("".join(f"G1 X{text}\n" for text in numbers).encode())
+    said, values = lines.words[ord("X")]
+    assert said.all()
+    assert values.tolist() == [float(text) for text in numbers]
+
+
+def test_every_dialect_is_read_as_line_by_line(shared):
+    for path in sorted((shared / "data" / "gcode-zoo").glob("*.gcode")):
+        assert_read_alike(path.read_bytes())
