@@ -45,6 +45,8 @@ def demo(
                 server = running.server
                 say(f"Open {server.url}/#tab_plugin_moop  user: {server.user}  password: {server.password}")
                 what = "Nothing will go wrong." if fault == "none" else f"{fault} in layer {running.fault_layer}."
+                if not once:
+                    say(f"To let more go wrong: curl -X POST {running.webcam.address}/fault/spaghetti (or another)")
                 say(f"Printing {running.job.name}, {running.toolpath.layers} layers. {what}")
                 running.print_job()
                 outcome = running.wait_for_the_end(lambda status: say(_line(status)))

@@ -16,8 +16,9 @@ from ..core.errors import MoopError
 from ..core.gcode import read_gcode
 from ..core.header import Header, Printer
 from ..core.segment import HsvThresholds
-from . import witness
-from .faults import Fault
+from ..core.toolpath import Toolpath
+from . import notebook
+from .faults import KINDS, Fault
 from .server import DemoServer
 from .simulate import Nuisance, Scene
 from .webcam import SnapshotServer
@@ -111,17 +112,17 @@ class Demo:
         self.toolpath = read_gcode(self.job)
         if self.fault_layer is not None and not 0 <= self.fault_layer < self.toolpath.layers:
             raise MoopError(f"There is no layer {self.fault_layer}; the job has 0 to {self.toolpath.layers - 1}.")
-        self.scene = Scene(
-            self.toolpath, demo_camera(), BED, faults=self._faults(), nuisances=nuisances, seed=seed
-        )
-        self._witness = basedir / "witness"
-        witness.make(self._witness)
+        self._nuisances, self._seed = nuisances, seed
+        self.scene = self._scene(self.toolpath, self._faults())
+        self._notebook = basedir / "notebook"
+        notebook.make(self._notebook)
+        self._seen_job: Path | None = None
         self._shots = 0
-        self.webcam = SnapshotServer(self._take)
+        self.webcam = SnapshotServer(self._take, post=self._post)
         self.server = DemoServer(
             basedir, port, snapshot_url=self.webcam.url,
-            plugins={witness.NAME: Path(witness.__file__)},
-            environment={witness.FILE_ENV: str(self._witness)}, **server_options,
+            plugins={"moop_demo_witness": Path(__file__).with_name("witness.py")},
+            environment={"MOOP_DEMO_WITNESS": str(self._notebook)}, **server_options,
         )  # fmt: skip
 
     def __enter__(self) -> Demo:
@@ -182,7 +183,35 @@ class Demo:
         objects = {"detachment": 1, "spaghetti": 0, "warping": 1}
         return (Fault(self.fault, self.fault_layer, objects.get(self.fault)),)
 
+    def _scene(self, toolpath: Toolpath, faults: tuple[Fault, ...]) -> Scene:
+        return Scene(toolpath, demo_camera(), BED, faults=faults, nuisances=self._nuisances, seed=self._seed)
+
+    def set_off(self, kind: str) -> str:
+        """Lets something go wrong from the next layer on; "none" mends everything. Returns a sentence."""
+        if kind == "none":
+            self.scene.faults = ()
+            return "All is well with the print again."
+        layer = self.scene.layer_at(notebook.read(self._notebook)[0]) + 1
+        self.scene.faults += (Fault(kind, layer),)
+        return f"{kind} from layer {layer} on."
+
+    def _post(self, path: str) -> str | None:
+        kind = path.rpartition("/")[2]
+        return self.set_off(kind) if path == f"/fault/{kind}" and kind in (*KINDS, "none") else None
+
     def _take(self) -> bytes:
-        file_pos, position_mm = witness.read(self._witness)
+        self._follow_job()
+        file_pos, position_mm = notebook.read(self._notebook)
         self._shots += 1
         return self.scene.jpeg(file_pos, position_mm, self._shots)
+
+    def _follow_job(self) -> None:
+        """The webcam sees what is being printed, which need not be the demo's own job."""
+        job = notebook.read_job(self._notebook)
+        if job is None or job == self._seen_job:
+            return
+        self._seen_job = job
+        if job.read_bytes() != self.job.read_bytes():
+            self.scene = self._scene(read_gcode(job), ())
+        elif self.scene.toolpath is not self.toolpath:
+            self.scene = self._scene(self.toolpath, self._faults())

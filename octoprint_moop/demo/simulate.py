@@ -61,7 +61,7 @@ class Scene:
         bed_mm: tuple[float, float] = (250.0, 210.0),
         with_head: bool = True,
     ) -> None:
-        self._toolpath, self._camera, self._bed = toolpath, camera, bed
+        self.toolpath, self._camera, self._bed = toolpath, camera, bed
         self._light, self._seed = light or Light(), seed
         self._material_bgr, self._surface, self._bed_mm = material_bgr, surface, bed_mm
         self._with_head = with_head
@@ -72,12 +72,16 @@ class Scene:
         fall = 1 - self._light.vignette_ratio * (rows**2 + columns**2) / 2
         self._vignette = fall.astype(np.float32)[..., None]
 
+    def layer_at(self, file_pos: int) -> int:
+        """The layer that is being printed, -1 before the first."""
+        return self.toolpath.layer_at(file_pos)
+
     def frame(self, file_pos: int, position_mm: tuple[float, float, float], shot: int = 0) -> np.ndarray:
         """(H, W, 3) uint8 BGR, before compression: everything that ends at or before `file_pos` is done.
 
         position_mm : where the machine stands; shot : numbers pictures of the same moment, which differ in noise only
         """
-        layer, laid = self._toolpath.layer_at(file_pos), self._toolpath.laid_at(file_pos)
+        layer, laid = self.toolpath.layer_at(file_pos), self.toolpath.laid_at(file_pos)
         view = self._view(layer)
         picture = view.compose(self._matter(laid), position_mm, self._light.mirror_ratio)
         if self._with_head:
@@ -94,11 +98,11 @@ class Scene:
 
     def truth(self, file_pos: int, position_mm: tuple[float, float, float]) -> np.ndarray:
         """(H, W) uint8, 255 where there is matter in the pixel's middle, head and hands taken away. For scores only."""
-        view = self._view(self._toolpath.layer_at(file_pos))
-        return view.mask(self._matter(self._toolpath.laid_at(file_pos)), position_mm)
+        view = self._view(self.toolpath.layer_at(file_pos))
+        return view.mask(self._matter(self.toolpath.laid_at(file_pos)), position_mm)
 
     def _matter(self, laid: int) -> Matter:
-        return matter_at(self._toolpath, self.faults, laid, self._seed)
+        return matter_at(self.toolpath, self.faults, laid, self._seed)
 
     def _nuisance(self, kind: str, layer: int) -> float:
         """Its strength at that layer, 0 for none."""
@@ -112,12 +116,12 @@ class Scene:
             self._views[nudge > 0] = _View(
                 Painter(camera, self._material_bgr, self._light, self._seed),
                 Room(camera, self._bed_mm, self._surface, self._seed),
-                self._toolpath, self._bed, camera.image_size_px,
+                self.toolpath, self._bed, camera.image_size_px,
             )  # fmt: skip
         return self._views[nudge > 0]
 
     def _expose(self, picture: np.ndarray, file_pos: int, layer: int, shot: int) -> np.ndarray:
-        light, share = self._light, file_pos / max(self._toolpath.bytes, 1)
+        light, share = self._light, file_pos / max(self.toolpath.bytes, 1)
         waves = np.sin(2 * np.pi * share * np.array([1.3, 2.9, 1.7, 2.3]) + self._phase)
         level = light.level * (1 + light.drift_ratio * (0.7 * waves[0] + 0.3 * waves[1]))
         level *= 1 - 0.65 * min(self._nuisance("dim", layer), 1.3)

@@ -14,9 +14,14 @@ _STREAM_PAUSE_S = 0.5
 
 
 class SnapshotServer:
-    """Serves `take()`, a JPEG, over HTTP from a thread of its own. A context manager."""
+    """Serves `take()`, a JPEG, over HTTP from a thread of its own. A context manager.
 
-    def __init__(self, take: Callable[[], bytes], port: int = 0) -> None:
+    post : called with the path of a POST request; its answer is a sentence, or None where there is no such path
+    """
+
+    def __init__(
+        self, take: Callable[[], bytes], port: int = 0, post: Callable[[str], str | None] = lambda path: None
+    ) -> None:
         lock = threading.Lock()
 
         def one_at_a_time() -> bytes:
@@ -24,8 +29,9 @@ class SnapshotServer:
                 return take()
 
         self._server = _Server((HOST, port), _Handler)
-        self._server.take = one_at_a_time
-        self.url = f"http://{HOST}:{self._server.server_address[1]}/?action=snapshot"
+        self._server.take, self._server.post = one_at_a_time, post
+        self.address = f"http://{HOST}:{self._server.server_address[1]}"
+        self.url = f"{self.address}/?action=snapshot"
         self._thread = threading.Thread(target=self._server.serve_forever, name="webcam", daemon=True)
 
     def __enter__(self) -> SnapshotServer:
@@ -47,6 +53,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(*args)
         self.closing = threading.Event()
         self.take: Callable[[], bytes] = bytes
+        self.post: Callable[[str], str | None] = str
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -57,14 +64,20 @@ class _Handler(BaseHTTPRequestHandler):
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             self._stream() if action == "stream" else self._snapshot()
 
+    def do_POST(self) -> None:
+        answer = self.server.post(urlsplit(self.path).path)
+        self._answer(404 if answer is None else 200, "text/plain", f"{answer or 'Not found.'}\n".encode())
+
     def _snapshot(self) -> None:
-        jpeg = self.server.take()
-        self.send_response(200)
-        self.send_header("Content-Type", "image/jpeg")
-        self.send_header("Content-Length", str(len(jpeg)))
+        self._answer(200, "image/jpeg", self.server.take())
+
+    def _answer(self, status: int, content_type: str, body: bytes) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", content_type)
+        self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
-        self.wfile.write(jpeg)
+        self.wfile.write(body)
 
     def _stream(self) -> None:
         self.send_response(200)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import urllib.error
 import urllib.request
 
-from octoprint_moop.demo import witness
+import pytest
+
+from octoprint_moop.demo import notebook
 from octoprint_moop.demo.webcam import SnapshotServer
 
 
@@ -25,24 +28,35 @@ def test_a_stream_sends_picture_after_picture_until_the_webcam_ends():
     stream.close()
 
 
+def test_what_is_posted_is_answered_with_a_sentence_or_not_found():
+    with SnapshotServer(bytes, post=lambda path: "Done." if path == "/fault/none" else None) as webcam:
+        with urllib.request.urlopen(f"{webcam.address}/fault/none", data=b"", timeout=5) as answer:
+            assert answer.read() == b"Done.\n"
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"{webcam.address}/elsewhere", data=b"", timeout=5)
+
+
 def test_the_witness_follows_file_and_machine_through_what_is_sent(tmp_path):
-    path = tmp_path / "witness"
-    witness.make(path)
-    assert witness.read(path) == (0, (0.0, 0.0, 0.0))
-    seen = witness.Witness(path)
+    path = tmp_path / "notebook"
+    notebook.make(path)
+    assert notebook.read(path) == (0, (0.0, 0.0, 0.0))
+    seen = notebook.Witness(path)
 
     def sent(cmd, *tags):
-        seen.on_sent(None, "sent", cmd, None, cmd.split()[0], tags=set(tags))
+        seen.sent(cmd, cmd.split()[0], set(tags))
 
     sent("G28")
     sent("G1 X10 Y20.5 Z0.3 F6000", "source:file", "filepos:40")
     sent("G1 X12 E1", "source:file", "filepos:52")
-    assert witness.read(path) == (52, (12.0, 20.5, 0.3))
+    assert notebook.read(path) == (52, (12.0, 20.5, 0.3))
     sent("G91")
     sent("G1 Z5 X-2")  # a pause script: no tag of the file
-    assert witness.read(path) == (52, (10.0, 20.5, 5.3))
+    assert notebook.read(path) == (52, (10.0, 20.5, 5.3))
     sent("G90")
     sent("G28 X")
-    assert witness.read(path) == (52, (0.0, 20.5, 5.3))
-    seen.on_sent(None, "sent", "M105", None, "M105", tags=None)  # a resent line has no tags
-    assert witness.read(path)[0] == 52
+    assert notebook.read(path) == (52, (0.0, 20.5, 5.3))
+    seen.sent("M105", "M105", None)  # a resent line has no tags
+    assert notebook.read(path)[0] == 52
+    assert notebook.read_job(path) is None
+    seen.job("/uploads/a part.gcode")
+    assert str(notebook.read_job(path)) == "/uploads/a part.gcode"
