@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     import trimesh
 
 _GAP_MM = 3.0
-# Where the markers go along the sides of the model's box, front, right, back, left, so that no symmetry arises.
-_ALONG = (-0.72, -0.35, 0.55, 0.86)
+# Front, right, back, left of the model's box: where along the side (in parts of half the box), and how much further out
+# (in diameters), so that the markers are unlike themselves when turned, mirrored or exchanged, for boxes of any shape.
+_ALONG = (0.87, -0.96, 0.73, 0.92)
+_FURTHER_OUT = (0.6, 0.3, 0.0, 0.9)
 
 
 def model_with_markers(
@@ -58,10 +60,16 @@ def model_with_markers(
 def _around(low: np.ndarray, high: np.ndarray, settings: PlateSettings) -> np.ndarray:
     """(4, 2): a ring on each side of the box, further apart where the box is small."""
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 1.2 * settings.diameter_mm)
-    out = half + settings.diameter_mm / 2 + _GAP_MM
+    beside = half + settings.diameter_mm / 2 + _GAP_MM
     front, right, back, left = _ALONG
+    out = settings.diameter_mm * np.array(_FURTHER_OUT)
     return middle + np.array(
-        [[front * half[0], -out[1]], [out[0], right * half[1]], [back * half[0], out[1]], [-out[0], left * half[1]]]
+        [
+            [front * half[0], -beside[1] - out[0]],
+            [beside[0] + out[1], right * half[1]],
+            [back * half[0], beside[1] + out[2]],
+            [-beside[0] - out[3], left * half[1]],
+        ]
     )
 
 
