@@ -4,7 +4,7 @@
 
 Times are medians, on the clock and, since a busy machine stretches that, of the processors (all threads together);
 ratios are taken between things measured in this run. The print is made here: a wavy vase full
-of infill, beads of 0.5 mm, a ninth of them outward. Frames are drawn here too, so decoding has a real JPEG's work to do.
+of infill, beads of 0.5 mm, a ninth of them outward. So are the frames, with the detail of a real JPEG.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import platform
 import statistics
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Callable, Sequence
+from typing import Any, Callable
 
 import cv2
 import numpy as np
@@ -199,26 +200,36 @@ def plot(names: list[str], rows: list[dict[str, Any]]) -> str:
         return round(float(x), 1), round(float(y), 1)
 
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="13">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" '
+        'font-size="13">',
         f'<rect width="{width}" height="{height}" fill="white"/>',
     ]
     for ms in (10, 100, 1000, 10_000):
         (x, y), (end, _) = place(10**low, ms), place(10**high, ms)
         label = f"{ms} ms" if ms < 1000 else f"{ms // 1000} s"
-        parts.append(f'<path d="M{x} {y}H{end}" stroke="#ddd"/><text x="{x - 6}" y="{y + 4}" text-anchor="end">{label}</text>')
+        parts.append(
+            f'<path d="M{x} {y}H{end}" stroke="#ddd"/><text x="{x - 6}" y="{y + 4}" text-anchor="end">{label}</text>'
+        )
     for beads in COUNTS:
         (x, y), (_, end) = place(beads, 10**least), place(beads, 10**most)
-        parts.append(f'<path d="M{x} {y}V{end}" stroke="#eee"/><text x="{x}" y="{y + 20}" text-anchor="middle">{beads:,}</text>')
-    parts.append(f'<text x="{width / 2}" y="{height - 8}" text-anchor="middle">beads in the print; processor time</text>')
+        parts.append(
+            f'<path d="M{x} {y}V{end}" stroke="#eee"/><text x="{x}" y="{y + 20}" text-anchor="middle">{beads:,}</text>'
+        )
+    parts.append(
+        f'<text x="{width / 2}" y="{height - 8}" text-anchor="middle">beads in the print; processor time</text>'
+    )
     for number, name in enumerate(names):
         for dashes, size in zip(("none", "6 4"), SIZES_PX):
             line = [place(row["beads"], row[name]["processor_ms"]) for row in rows if row["size"] == size]
             colour = ("#1b6ca8", "#c1553b")[number % 2]
             path = "L".join(f"{x} {y}" for x, y in line)
-            parts.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>')
+            parts.append(
+                f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>'
+            )
             row_y = top + 18 + 18 * (2 * number + (dashes != "none"))
             parts.append(
-                f'<path d="M{left + 12} {row_y - 4}h30" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>'
+                f'<path d="M{left + 12} {row_y - 4}h30" stroke="{colour}" stroke-width="2" '
+                f'stroke-dasharray="{dashes}"/>'
                 f'<text x="{left + 50}" y="{row_y}">{name.split(" (")[0]}, {size}</text>'
             )
     return "\n".join([*parts, "</svg>", ""])
@@ -246,6 +257,7 @@ def main() -> None:
     print()
     if options.plot:
         options.plot.write_text(plot(result["renderers"], result["birth_map"]), encoding="utf-8")
+
 
 if __name__ == "__main__":
     main()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from .camera import Camera
 
 DRAWN_BEAD = np.dtype([("start", "f4", 3), ("end", "f4", 3), ("size", "f4", 2), ("birth", "u4")])
 
-# A chord of this angle, in radians, leaves its image's curve by less than 0.05 px at 1920 px through a lens of k1 = -0.3.
+# A chord of this angle, in radians, leaves its image's curve by less than 0.05 px at 1920 px where k1 = -0.3.
 STRAIGHT_RAD = 1 / 25
 
 

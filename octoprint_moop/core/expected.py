@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Iterator, Mapping, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -124,7 +125,7 @@ class ExpectedObjects:
     """The labelled objects at one moment.
 
     objects : those that appear in the picture
-    front   : (H, W) int16, index of the object that is seen at the pixel now, the foremost of several; NOTHING elsewhere
+    front   : (H, W) int16, index of the object that is seen at the pixel now, the foremost of several; else NOTHING
     """
 
     objects: tuple[ExpectedObject, ...]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -75,7 +76,9 @@ class HeadModel:
         try:
             return cls.from_json(json.loads(text))
         except ValueError as error:
-            raise SettingsError(f"The print head's shape is not JSON ({error}). Empty it to use the common one.") from None
+            raise SettingsError(
+                f"The print head's shape is not JSON ({error}). Empty it to use the common one."
+            ) from None
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> HeadModel:

@@ -71,7 +71,5 @@ def tilt(camera: Camera) -> np.ndarray:
     rotation = np.array([[cos_y, 0, -sin_y], [0, 1, 0], [sin_y, 0, cos_y]]) @ np.array(
         [[1, 0, 0], [0, cos_x, sin_x], [0, -sin_x, cos_x]]
     )
-    projection = np.array(
-        [[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1]]
-    )
+    projection = np.array([[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1]])
     return projection @ rotation

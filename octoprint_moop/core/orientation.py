@@ -49,9 +49,13 @@ class Orientation:
         if self.rotate_90:
             turn = np.array([[0.0, 1.0], [-1.0, 0.0]]) @ turn
         if np.linalg.det(turn) < 0:
-            raise CameraError("A picture that is flipped only once is a mirror's, which no camera sends. Use both flips.")
+            raise CameraError(
+                "A picture that is flipped only once is a mirror's, which no camera sends. Use both flips."
+            )
         if camera.distortion.size == 14 and camera.distortion[12:].any() and camera.model == "pinhole":
-            raise CameraError("A lens with a tilted sensor (14 numbers) cannot be turned. Calibrate it as it is mounted.")
+            raise CameraError(
+                "A lens with a tilted sensor (14 numbers) cannot be turned. Calibrate it as it is mounted."
+            )
         size_px = np.array(camera.image_size_px)
         turned_px = np.abs(turn) @ size_px
         K = np.eye(3)

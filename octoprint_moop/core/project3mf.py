@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import posixpath
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Iterator
 from xml.etree import ElementTree
 
 import numpy as np
@@ -34,7 +34,9 @@ def read_3mf(path: Path) -> np.ndarray:
     except zipfile.BadZipFile:
         raise MeshError(f"{path.name}: is not a 3MF file. Export the model again, or as STL.") from None
     except (KeyError, ValueError, IndexError, TypeError, ElementTree.ParseError, NotImplementedError) as error:
-        raise MeshError(f"{path.name}: is not a complete 3MF file ({error}). Export the model again, or as STL.") from None
+        raise MeshError(
+            f"{path.name}: is not a complete 3MF file ({error}). Export the model again, or as STL."
+        ) from None
     if not parts:
         raise MeshError(f"{path.name}: nothing stands on its build plate.")
     return np.concatenate(parts)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,9 @@ class Solid:
             )
         if np.abs(by_mm).max() <= SAME_PLACE_MM:
             return replace(self, notes=tuple(notes))
-        notes.append(f"The model was moved by {by_mm[0]:.1f}, {by_mm[1]:.1f}, {by_mm[2]:.1f} mm to where it is printed.")
+        notes.append(
+            f"The model was moved by {by_mm[0]:.1f}, {by_mm[1]:.1f}, {by_mm[2]:.1f} mm to where it is printed."
+        )
         return replace(self.moved(by_mm), notes=tuple(notes))
 
 
@@ -107,9 +110,8 @@ def read_solid(path: str | os.PathLike[str]) -> Solid:
         if suffix == ".3mf":
             triangles = read_3mf(path)
         else:
-            triangles = _binary_stl(path) if suffix == ".stl" else None
-            if triangles is None:
-                triangles = _by_trimesh(path)
+            binary = _binary_stl(path) if suffix == ".stl" else None
+            triangles = _by_trimesh(path) if binary is None else binary
     except OSError as error:
         raise MeshError(f"{path.name}: cannot be read ({error.strerror or error}).") from None
     if not np.isfinite(triangles).all():
@@ -139,7 +141,7 @@ def _by_trimesh(path: Path) -> np.ndarray:
     import trimesh
 
     try:
-        mesh = trimesh.load(str(path), force="mesh", process=False)
+        mesh: Any = trimesh.load(str(path), force="mesh", process=False)
         triangles = np.asarray(mesh.triangles)
     except Exception as error:  # trimesh raises whatever its parsers raise
         raise MeshError(f"{path.name}: is not a {path.suffix[1:].upper()} file that can be read ({error}).") from None
@@ -169,7 +171,9 @@ def faults(triangles: np.ndarray) -> list[str]:
             "expected too late. Repair the model in the slicer, or use the G-code."
         )
     if len(triangles) > MOST_TRIANGLES_CROSSED:
-        found.append(f"The model has {len(triangles)} triangles; it was not looked at whether its surface crosses itself.")
+        found.append(
+            f"The model has {len(triangles)} triangles; it was not looked at whether its surface crosses itself."
+        )
         return found
     crossings = count_crossings(triangles, corner)
     if crossings:
@@ -212,7 +216,7 @@ def count_crossings(triangles: np.ndarray, corner: np.ndarray) -> int:
         keep = first <= second
         first, second = first[keep], second[keep]
         lows, highs = boxes_low[level], boxes_high[level]
-        keep = ((lows[first] <= highs[second]) & (lows[second] <= highs[first])).all(axis=1)
+        keep = np.all((lows[first] <= highs[second]) & (lows[second] <= highs[first]), axis=1)
         first, second = first[keep], second[keep]
     first, second = order[first[first != second]], order[second[first != second]]
     strangers = ~(corner[first][:, :, None] == corner[second][:, None, :]).any(axis=(1, 2))

@@ -8,8 +8,9 @@ zeros read back are an error, and a known bead is drawn once for each context.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Iterator
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -137,10 +138,11 @@ class GlRenderer:
 
     def __init__(self, device_index: int | None = None) -> None:
         """Raises RenderError where no context can be made or a known bead is not drawn as it must be."""
+        create: Any = moderngl.create_context  # its types know nothing of the backends' options
         options = {} if device_index is None else {"device_index": device_index}
         try:
             # libEGL carries the GL functions too, so that libGL and with it X11's libraries are not needed.
-            self._context = moderngl.create_context(
+            self._context = create(
                 standalone=True, backend="egl", require=310, libgl="libEGL.so.1", libegl="libEGL.so.1", **options
             )
         except Exception as error:  # moderngl raises plain Exception
@@ -158,7 +160,7 @@ class GlRenderer:
             self._beads = self._context.vertex_array(
                 self._program, [(self._scratch, "3f 3f 2f 1u/i", "start", "end", "size", "birth")]
             )
-            self._surface_program = self._context.program(vertex_shader=SURFACE, fragment_shader=HEIGHT)
+            self._surface_program: Any = self._context.program(vertex_shader=SURFACE, fragment_shader=HEIGHT)
             self._surface = self._context.vertex_array(self._surface_program, [(self._scratch, "3f", "corner")])
         except moderngl.Error as error:
             self._context.release()
@@ -175,11 +177,15 @@ class GlRenderer:
         """Frees everything on the graphics side. The renderer cannot be used afterwards."""
         with self._current():
             for texture, frame, depth in self._targets.values():
-                for part in (frame, depth, texture):
-                    part.release()
+                frame.release()
+                depth.release()
+                texture.release()
             self._targets.clear()
-            for part in (self._beads, self._surface, self._scratch, self._program, self._surface_program):
-                part.release()
+            self._beads.release()
+            self._surface.release()
+            self._scratch.release()
+            self._program.release()
+            self._surface_program.release()
         self._context.release()
 
     def birth_map(
@@ -193,9 +199,7 @@ class GlRenderer:
         with self._current():
             return self._births(toolpath, camera, np.asarray(room_from_print_mm, dtype=np.float64), beads)
 
-    def _births(
-        self, toolpath: Toolpath, camera: Camera, shift_mm: np.ndarray, beads: np.ndarray | None
-    ) -> np.ndarray:
+    def _births(self, toolpath: Toolpath, camera: Camera, shift_mm: np.ndarray, beads: np.ndarray | None) -> np.ndarray:
         frame = self._begin(self._program, camera, shift_mm)
         longest_mm = straight_mm(toolpath.bounds_mm(), camera, shift_mm)
         for drawn in drawn_beads(toolpath.beads_mm, beads, longest_mm, CHUNK):
@@ -223,7 +227,7 @@ class GlRenderer:
                 self._surface.render(moderngl.TRIANGLES, vertices=3 * len(drawn))
         return self._finish(frame, camera)
 
-    def _begin(self, program: moderngl.Program, camera: Camera, shift_mm: np.ndarray) -> moderngl.Framebuffer:
+    def _begin(self, program: Any, camera: Camera, shift_mm: np.ndarray) -> moderngl.Framebuffer:
         width, height = camera.image_size_px
         texture, frame = self._target(camera.image_size_px)
         self._look(program, camera, shift_mm)
@@ -245,14 +249,16 @@ class GlRenderer:
 
     @contextmanager
     def _current(self) -> Iterator[None]:
-        """Makes this the thread's context. Raises RenderError in any thread but the owner's, and for what GL reports."""
+        """Makes this the thread's context. Raises RenderError in a thread not its owner, and for GL's errors."""
         if threading.get_ident() != self._owner:
             raise RenderError("OpenGL was called from a thread that does not own it. This is a bug; please report it.")
         with self._context:
             try:
                 yield
             except moderngl.Error as error:
-                raise RenderError(f"{self.name} failed ({error}). `moop doctor` tries it; restart the server.") from None
+                raise RenderError(
+                    f"{self.name} failed ({error}). `moop doctor` tries it; restart the server."
+                ) from None
 
     def _target(self, size_px: tuple[int, int]) -> tuple[moderngl.Texture, moderngl.Framebuffer]:
         if size_px not in self._targets:
@@ -261,7 +267,7 @@ class GlRenderer:
             self._targets[size_px] = (texture, self._context.framebuffer([texture], depth), depth)
         return self._targets[size_px][:2]
 
-    def _look(self, program: moderngl.Program, camera: Camera, shift_mm: np.ndarray) -> None:
+    def _look(self, program: Any, camera: Camera, shift_mm: np.ndarray) -> None:
         """Hands the camera to the shader: composed in float64, rounded once."""
         width, height = camera.image_size_px
         # Pixel centres lie at whole numbers in OpenCV and at halves in GL; row 0 is drawn, and read, first.
@@ -287,7 +293,8 @@ class GlRenderer:
         bead = np.array([[-10, 0, 100, 10, 0, 100, 10.2, 0.02]], dtype=np.float32)
         one = np.ones(1, dtype=np.int64)
         toolpath = Toolpath(bead, one, np.array([0, 1]), one, bead[:, 5], one.astype("u1"), one.astype("i2"))
-        camera = Camera((40, 30), [[100, 0, 19.5], [0, 100, 14.5], [0, 0, 1]], np.zeros(5), [0, 0, 0], [0, 0, 0])
+        K = np.array([[100, 0, 19.5], [0, 100, 14.5], [0, 0, 1]])
+        camera = Camera((40, 30), K, np.zeros(5), np.zeros(3), np.zeros(3))
         births = self.birth_map(toolpath, camera, np.zeros(3))
         wanted = np.zeros((30, 40), dtype=np.uint32)
         for row in range(10, 20):  # a hexagon: the tips are half a width beyond the ends

@@ -10,9 +10,10 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Mapping
+from typing import TYPE_CHECKING
 
 from ..core.errors import RenderError
 from ..core.raster import CvRenderer
@@ -82,9 +83,9 @@ def probes(choice: str | None = None) -> tuple[Probe, ...]:
             tried.append(found)
             if found.works or "found" in found.problem or "No module" in found.problem:
                 break  # it draws, or there is no such device, or no moderngl
-    if choice == "software" or not any(found.works for found in tried):
-        if not any("No module" in found.problem for found in tried):
-            tried.append(probe(0, SOFTWARE))
+    without_module = any("No module" in found.problem for found in tried)
+    if not without_module and not any(found.works for found in tried):
+        tried.append(probe(0, SOFTWARE))
     return tuple(tried)
 
 

@@ -117,7 +117,8 @@ def test_a_bed_moves_the_print_against_the_machine():
 def test_numbers_that_are_no_camera_are_refused_in_words():
     good = eye().to_json()
     for key, value, said in (
-        ("K", [[1, 2], [3, 4]], "shape"), ("K", "abc", "list of numbers"), ("K", np.diag([-600, 600, 1]).tolist(), "focal"),
+        ("K", [[1, 2], [3, 4]], "shape"), ("K", "abc", "list of numbers"),
+        ("K", np.diag([-600, 600, 1]).tolist(), "focal"),
         ("distortion", [0.1] * 6, "distortion"), ("rvec", [0, 0, float("nan")], "finite"), ("tvec_mm", None, "tvec_mm"),
         ("image_size_px", [0, 480], "0 x 480"), ("image_size_px", 640, "width, height"), ("model", "mirror", "mirror"),
     ):  # fmt: skip

@@ -29,7 +29,7 @@ def test_a_small_bead_is_drawn_where_the_camera_model_projects_it(renderer, lens
     pixels = rng.uniform((4, 4), (size_px[0] - 4, size_px[1] - 4), (60, 2))
     rays = _rays(coarse, pixels)
     points = coarse.centre_mm + rays * rng.uniform(200, 500, (60, 1))
-    beads = [[*p, *p, 1.0, 1.0] for p in points + [0, 0, 0.5]]
+    beads = [[*p, *p, 1.0, 1.0] for p in points + np.array([0, 0, 0.5])]
     births = renderer.birth_map(toolpath_of(beads), fine, np.zeros(3))
     rows, columns = np.nonzero(births)
     bead = births[rows, columns]

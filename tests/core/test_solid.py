@@ -120,7 +120,8 @@ def test_every_format_gives_the_same_box(tmp_path):
 def write_3mf(path, mesh, items='<item objectid="1"/>', more="", unit="millimeter", other=None):
     vertices = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in mesh.vertices)
     triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces)
-    box = f'<object id="1" type="model"><mesh><vertices>{vertices}</vertices><triangles>{triangles}</triangles></mesh></object>'
+    mesh_xml = f"<mesh><vertices>{vertices}</vertices><triangles>{triangles}</triangles></mesh>"
+    box = f'<object id="1" type="model">{mesh_xml}</object>'
 
     def model(resources, build):
         return (
@@ -212,7 +213,7 @@ def test_a_model_is_moved_to_where_it_is_printed_unless_it_is_there():
     print_ = vase(20, 60, (120, 80), 15)
     low, high = printed_bounds_mm(print_)
     assert np.allclose(low[2], 0) and np.allclose(high[2], 6)
-    there = trimesh.creation.box(bounds=[low + [0.2, 0.2, 0], high - [0.2, 0.2, 0.1]])
+    there = trimesh.creation.box(bounds=[low + np.array([0.2, 0.2, 0]), high - np.array([0.2, 0.2, 0.1])])
     assert solid_of(there).placed_on(print_).notes == ()
     there.apply_translation((-120, -80, -3))
     placed = solid_of(there).placed_on(print_)

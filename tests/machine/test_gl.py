@@ -112,7 +112,8 @@ print((drawn != wanted).sum() / (wanted > 0).sum())
 
 def _python(code: str, environment: dict[str, str] | None = None) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, **(environment or {}), "PYTHONPATH": os.pathsep.join(sys.path)},
+        [sys.executable, "-c", code],
+        env={**os.environ, **(environment or {}), "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
