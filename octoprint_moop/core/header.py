@@ -24,6 +24,7 @@ class Moment:
     time_s      : since the print's start
     parked      : False where the head stood over the print
     camera      : name of the camera, None for the first
+    cancelled   : objects cancelled while printing, each with the file position from which on it is not printed
     """
 
     frame: str
@@ -33,6 +34,7 @@ class Moment:
     time_s: float = 0.0
     parked: bool = True
     camera: str | None = None
+    cancelled: tuple[tuple[str, int], ...] = ()
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Moment:
@@ -47,10 +49,11 @@ class Moment:
                 time_s=float(data.get("time_s", 0.0)),
                 parked=bool(data.get("parked", True)),
                 camera=None if data.get("camera") is None else str(data["camera"]),
+                cancelled=tuple(sorted((str(name), int(pos)) for name, pos in (data.get("cancelled") or {}).items())),
             )
         except KeyError as missing:
             raise RecordingError(f"A line has no {missing.args[0]!r}.") from None
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, AttributeError) as error:
             raise RecordingError(f"A line has a value that makes no sense ({error}).") from None
 
     def to_json(self) -> dict[str, Any]:
@@ -61,6 +64,8 @@ class Moment:
         }  # fmt: skip
         if self.camera is not None:
             data["camera"] = self.camera
+        if self.cancelled:
+            data["cancelled"] = dict(self.cancelled)
         return data
 
 

@@ -95,11 +95,20 @@ class View:
 
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
-        return self._expected.at(moment.file_pos, moment.position_mm, before, parked=moment.parked)
+        return self._expected.at(
+            moment.file_pos, moment.position_mm, before, self._cancelled(moment), parked=moment.parked
+        )
 
     def print_map(self, moment: Moment) -> PrintMap:
         """Raises RenderError where drawing fails."""
-        return self._expected.map_at(moment.position_mm, moment.file_pos, parked=moment.parked)
+        return self._expected.map_at(
+            moment.position_mm, moment.file_pos, self._cancelled(moment), parked=moment.parked
+        )
+
+    def _cancelled(self, moment: Moment) -> dict[int, int]:
+        """By the objects' numbers; a name that the file does not know is passed over."""
+        named = dict(moment.cancelled)
+        return {number: named[name] for number, name in enumerate(self._toolpath.objects) if name in named}
 
     def memory(self, moment: Moment) -> Memory:
         """What the pixels have shown so far, carried along where the bed has moved since."""

@@ -10,12 +10,13 @@ import pytest
 
 from octoprint_moop.core import expected as module
 from octoprint_moop.core.camera import BedMotion
-from octoprint_moop.core.errors import SettingsError
+from octoprint_moop.core.errors import RecordingError, SettingsError
 from octoprint_moop.core.expected import ExpectedViews
 from octoprint_moop.core.hardware import Box, HeadModel
-from octoprint_moop.core.header import Header, Moment
+from octoprint_moop.core.header import Header, Moment, Printer
 from octoprint_moop.core.raster import CvRenderer
 from octoprint_moop.core.toolpath import Role
+from octoprint_moop.core.view import View
 from tests.made import camera_at, toolpath_of, vase
 
 CAMERA = camera_at((100, -80, 90), (100, 100, 5), "5 coefficients")
@@ -238,3 +239,21 @@ def test_the_head_of_the_settings_is_json_or_the_common_one():
     assert HeadModel.from_text(json.dumps(own.to_json()), 250) == own
     with pytest.raises(SettingsError, match="not JSON"):
         HeadModel.from_text("{head", 250)
+
+
+def test_a_moment_carries_what_was_cancelled_and_the_view_expects_it_no_more():
+    print_ = two_posts()
+    cancel_pos = 10 * 48 * 4
+    line = {
+        "frame": "frames/000001.jpg", "file_pos": 10 * 48 * 8, "layer": 7, "position_mm": {"x": 0, "y": 0, "z": 0},
+        "time_s": 1.0, "parked": True, "cancelled": {"part 1": cancel_pos, "of another file": 7},
+    }  # fmt: skip
+    moment = Moment.from_json(line)
+    assert moment.to_json() == line
+    assert "cancelled" not in Moment.from_json({**line, "cancelled": None}).to_json()
+    with pytest.raises(RecordingError, match="makes no sense"):
+        Moment.from_json({**line, "cancelled": ["part 1"]})
+    view = View(CAMERA, Printer(250, 210, 210), print_, CvRenderer(), None, "adaptive", None)
+    stays = (print_.object_id == 0) | (print_.end_pos <= cancel_pos)
+    assert np.array_equal(view.expected(moment).complete, drawn_alone(print_, stays))
+    assert (view.print_map(moment).owner >= 0).any()
