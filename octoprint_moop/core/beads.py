@@ -44,9 +44,14 @@ def drawn_beads(beads_mm: np.ndarray, chosen: np.ndarray | None, longest_mm: flo
             run = drawn["end"] - drawn["start"]
             pieces = np.ceil(np.sqrt(np.einsum("ij,ij->i", run, run)) / longest_mm).astype(np.int64).clip(1)
             if pieces.max() > 1:
-                drawn = _cut(drawn, run, pieces)
-        for begin in range(0, len(drawn), chunk):
-            yield drawn[begin : begin + chunk]
+                # group by group, so that many long beads before a near camera do not fill the memory
+                groups = np.searchsorted(np.cumsum(pieces), np.arange(chunk, pieces.sum(), chunk))
+                for some in np.split(np.arange(len(drawn)), groups):
+                    parts = _cut(drawn[some], run[some], pieces[some])
+                    for begin in range(0, len(parts), chunk):
+                        yield parts[begin : begin + chunk]
+                continue
+        yield drawn
 
 
 def _cut(drawn: np.ndarray, run: np.ndarray, pieces: np.ndarray) -> np.ndarray:

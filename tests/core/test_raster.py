@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from octoprint_moop.core.beads import drawn_beads
 from octoprint_moop.core.raster import CvRenderer
 from tests.made import LENSES, camera_at, toolpath_of, vase
 
@@ -104,3 +105,18 @@ def test_what_lies_behind_the_camera_or_beyond_its_lens_is_not_drawn(renderer):
     inside = [[100, 100, 60, 101, 100, 60, 5, 5]]
     births = renderer.birth_map(toolpath_of(behind + far_aside + inside), folding, np.zeros(3))
     assert set(np.unique(births)) == {0, 2 + len(far_aside)}
+
+
+def test_long_beads_are_cut_in_file_order_into_chunks_that_stay_small():
+    rng = np.random.default_rng(5)
+    beads = np.hstack([rng.uniform(0, 200, (500, 6)), np.ones((500, 2))]).astype(np.float32)
+    chunks = list(drawn_beads(beads, np.arange(0, 500, 2), 7.0, 64))
+    assert max(map(len, chunks)) <= 64
+    drawn = np.concatenate(chunks)
+    assert (np.diff(drawn["birth"].astype(int)) >= 0).all()
+    assert np.linalg.norm(drawn["end"] - drawn["start"], axis=1).max() <= 7.001
+    for index in (0, 2, 498):
+        parts = drawn[drawn["birth"] == index + 1]
+        assert np.allclose(parts["start"][0], beads[index, :3]) and np.allclose(parts["end"][-1], beads[index, 3:6])
+        assert np.allclose(parts["end"][:-1], parts["start"][1:], atol=1e-3)
+    assert set(drawn["birth"]) == set(range(1, 501, 2))
