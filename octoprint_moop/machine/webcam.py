@@ -24,8 +24,12 @@ class Webcam:
 
     def grab(self, timeout_s: float, interrupted: threading.Event | None = None) -> bytes:
         """A JPEG, begun after the call. Raises FrameError within about `timeout_s`, or soon after `interrupted`."""
-        if not self._busy.acquire(blocking=False):
-            raise FrameError("The webcam has not answered the last request yet. Look at the stream, or restart it.")
+        waited_s = 0.0
+        # The page and the watch may want a picture at the same time: the second waits for its turn.
+        while not self._busy.acquire(timeout=0.05):
+            waited_s += 0.05
+            if waited_s >= timeout_s or (interrupted is not None and interrupted.is_set()):
+                raise FrameError("The webcam has not answered the last request yet. Look at the stream, or restart it.")
         fetched: list[bytes | Exception] = []
         done = threading.Event()
 
@@ -39,7 +43,6 @@ class Webcam:
                 done.set()
 
         threading.Thread(target=fetch, name="moop.webcam", daemon=True).start()
-        waited_s = 0.0
         while not done.wait(0.05):
             waited_s += 0.05
             if interrupted is not None and interrupted.is_set():
