@@ -11,7 +11,7 @@ from octoprint.access.permissions import Permissions
 from octoprint.filemanager.util import StreamWrapper
 from octoprint.plugin import BlueprintPlugin
 
-from .core.errors import CalibrationError, MoopError
+from .core.errors import CalibrationError
 from .core.settings import Settings
 from .machine.ledger import Ledger
 from .machine.link import EyeLink
@@ -45,9 +45,8 @@ class MoopSetupApi(BlueprintPlugin):
     @BlueprintPlugin.route("/setup", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def get_setup(self) -> Any:
-        parts = self._setups.get(*self._setup_key())
-        if parts is None:
-            raise MoopError("Nothing is set up for this printer profile and webcam. Run the set-up.")
+        """What is set now, as a recording's header; without a camera where none has been set up yet."""
+        parts = self._setups.get(*self._setup_key()) or {"printer": self._printer_geometry()}
         return flask.jsonify({"format": "moop-recording", "version": 1, **parts, "material": self._material({})})
 
     @BlueprintPlugin.route("/setup", methods=["POST"])
@@ -205,6 +204,16 @@ class MoopSetupApi(BlueprintPlugin):
     def get_pose_picture(self) -> Any:
         """The picture that the last place was found on, or is to be clicked on."""
         return picture_response(self._pose_picture) if self._pose_picture else flask.abort(404)
+
+    @BlueprintPlugin.route("/calibrate/guides", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_guides(self) -> Any:
+        """The bed's grid and a box on it, as lines in the picture of `camera`. Body: `printer`, `camera`."""
+        wanted = body()
+        lines, _ = self._bench_eye.ask(
+            "guides", timeout_s=QUICK_S, printer=wanted.get("printer") or {}, camera=wanted.get("camera") or {}
+        )
+        return flask.jsonify(lines)
 
     # --- together -------------------------------------------------------------------------------------------------
 

@@ -99,7 +99,16 @@ def points(blobs: list[bytes], points: Any, lens: dict[str, Any] | None = None, 
     return pose_from_points(Points.from_json(points), (width, height), found, click_px).to_json(), []
 
 
+def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) -> Answer:
+    """The bed's grid and a box on it as this camera sees them, for a person to compare with the picture."""
+    from ..core.camera import Camera
+    from ..core.guides import guides as find_guides
+
+    lines = find_guides(Camera.from_json(camera), Printer.from_json(printer))
+    return {"lines": [line.to_json() for line in lines]}, []
+
+
 QUESTIONS = {
     question.__name__: question
-    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points)
+    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides)
 }
