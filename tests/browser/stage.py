@@ -108,6 +108,8 @@ class Canned:
             route.fulfill(json={})
         elif path == "status":
             route.fulfill(json=self.status)
+        elif path == "setup":
+            route.fulfill(json={"format": "moop-recording", "version": 1, "camera": {}})
         elif path == "checks":
             route.fulfill(json={"checks": self.checks})
         elif path.endswith(".png") or path == "segment/preview":

@@ -63,6 +63,68 @@
         return this.base.postJson(this.route("setup"), header, opts);
     };
 
+    // --- the set-up ---------------------------------------------------------------------------------------------
+
+    /* The printer's geometry as OctoPrint's profile has it: {printer}. */
+    MoopClient.prototype.printerGeometry = function (opts) {
+        return this.base.get(this.route("calibrate", "printer"), opts);
+    };
+
+    /* Takes the picture that is to be clicked on: {bed_reference_mm}, where the printer says it stands, or null. */
+    MoopClient.prototype.takePosePicture = function (opts) {
+        return this.base.postJson(this.route("calibrate", "points", "picture"), {}, opts);
+    };
+
+    MoopClient.prototype.posePictureUrl = function () {
+        return this.address("calibrate", "picture.jpg") + "?t=" + Date.now();
+    };
+
+    /* The camera's place from points clicked on that picture: [{mm: [x, y, z], px: [u, v]}, …]. */
+    MoopClient.prototype.poseFromPoints = function (points, opts) {
+        return this.base.postJson(this.route("calibrate", "points"), {points: points}, opts);
+    };
+
+    /* The camera's place from a fresh picture of the marker plate; markers is null for the plate made last. */
+    MoopClient.prototype.poseFromMarkers = function (markers, opts) {
+        return this.base.postJson(this.route("calibrate", "pose"), markers ? {markers: markers} : {}, opts);
+    };
+
+    /* Puts the marker plate's G-code among OctoPrint's files: {file, markers}. */
+    MoopClient.prototype.makeMarkers = function (plate, opts) {
+        return this.base.postJson(this.route("calibrate", "markers"), plate, opts);
+    };
+
+    /* Where the bed's grid and a box on it must be seen: {lines: [{what, px: [[u, v], …]}, …]}. */
+    MoopClient.prototype.guides = function (printer, camera, opts) {
+        return this.base.postJson(this.route("calibrate", "guides"), {printer: printer, camera: camera}, opts);
+    };
+
+    MoopClient.prototype.boardUrl = function (board) {
+        return this.address("calibrate", "board.svg") + "?" + $.param(board);
+    };
+
+    /* Takes a picture of the checkerboard: {corners_px, image_size_px, id, kept}; not kept where no board is seen. */
+    MoopClient.prototype.takeBoardPicture = function (board, opts) {
+        return this.base.postJson(this.route("calibrate", "lens", "pictures"), board, opts);
+    };
+
+    MoopClient.prototype.boardPictureUrl = function (id) {
+        return this.address("calibrate", "lens", "pictures", id + ".jpg");
+    };
+
+    MoopClient.prototype.forgetBoardPictures = function (opts) {
+        return this.base.delete(this.route("calibrate", "lens", "pictures"), opts);
+    };
+
+    MoopClient.prototype.findLens = function (board, opts) {
+        return this.base.postJson(this.route("calibrate", "lens"), board, opts);
+    };
+
+    /* {lens}: the one found last for this webcam, or null. */
+    MoopClient.prototype.lens = function (opts) {
+        return this.base.get(this.route("calibrate", "lens"), opts);
+    };
+
     /* Address of a picture taken now. The counter keeps the browser from answering with an old one. */
     MoopClient.prototype.freshFrameUrl = function () {
         return this.address("frame") + "?t=" + Date.now();

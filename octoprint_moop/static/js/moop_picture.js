@@ -154,6 +154,23 @@
                 return {x: (point.x + 0.5 - part.x) * scale, y: (point.y + 0.5 - part.y) * scale};
             }, density);
         }
+        if (this.options.onPick && canvas.matches(":focus-visible")) {
+            this._drawCross(context, canvas.width / 2, canvas.height / 2, 10 * density);
+        }
+    };
+
+    /* Where Enter picks, for those who have no pointer. */
+    Picture.prototype._drawCross = function (context, x, y, r) {
+        [["rgba(0,0,0,0.7)", 4], ["white", 1.5]].forEach(function (pen) {
+            context.strokeStyle = pen[0];
+            context.lineWidth = pen[1];
+            context.beginPath();
+            context.moveTo(x - r, y);
+            context.lineTo(x + r, y);
+            context.moveTo(x, y - r);
+            context.lineTo(x, y + r);
+            context.stroke();
+        });
     };
 
     Picture.prototype.zoomBy = function (factor, at) {
@@ -262,13 +279,23 @@
             }
             drag = null;
         });
+        if (self.options.onPick) {
+            canvas.addEventListener("focus", function () { self.draw(); });
+            canvas.addEventListener("blur", function () { self.draw(); });
+        }
         canvas.addEventListener("pointercancel", function () { drag = null; });
         canvas.addEventListener("keydown", function (event) {
             if (!self.image) {
                 return;
             }
             const step = self.part().width / 10;
+            const middle = self.part();
             const keys = {
+                Enter: function () {
+                    if (self.options.onPick) {
+                        self.options.onPick({x: middle.x + middle.width / 2 - 0.5, y: middle.y + middle.height / 2 - 0.5});
+                    }
+                },
                 "+": function () { self.zoomIn(); },
                 "=": function () { self.zoomIn(); },
                 "-": function () { self.zoomOut(); },

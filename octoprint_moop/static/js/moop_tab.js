@@ -22,6 +22,7 @@ $(function () {
         self.trouble = ko.observable("");
         self.lastAction = ko.observable("none");
         self.announcement = ko.observable("");
+        self.cameraKnown = ko.observable(null); // null: not asked yet
 
         // OctoPrint fills in the permissions after the view models are made, so they are looked up when asked
         const allowed = function (name) {
@@ -187,6 +188,9 @@ $(function () {
                     self.takeStatus(status);
                 })
                 .fail(self.tell);
+            if (self.visible() && self.mayCalibrate() && self.cameraKnown() !== true) {
+                OctoPrint.plugins.moop.setup().done(function (header) { self.cameraKnown(Boolean(header.camera)); });
+            }
             if (self.visible()) {
                 OctoPrint.plugins.moop.checks()
                     .done(function (answer) { self.takeChecks(answer.checks); })
@@ -276,7 +280,7 @@ $(function () {
         };
 
         self.openSetup = function () {
-            self.settings.show("settings_plugin_moop");
+            $('#moop_pages a[href="#moop_setup_page"]').tab("show");
         };
 
         self.openTab = function () {
@@ -399,6 +403,7 @@ $(function () {
                     self.selectedId(self.checks()[index].id);
                 }
             });
+            $('#moop_pages a[href="#moop_watch_page"]').on("shown", self.refresh);
             $(window).on("resize", _.debounce(self.drawPlot, 200));
             document.addEventListener("visibilitychange", function () {
                 if (self.visible()) {
