@@ -62,7 +62,8 @@ class Expected:
     laid   : number of beads that lie at this moment
     before : number of beads that lay at the last check (so that `before <= birth-1 < laid` is what is new)
     doubt  : so many of the `laid` may not lie yet, since the printer lags behind the file
-    hidden : uint8, 255 where head, gantry or the lens's edge leave nothing to be seen; None for nowhere
+    hidden : uint8, 255 where the lens's edge leaves nothing to be seen; None for nowhere
+    volume : uint8, 255 where the head or the gantry may stand before the print; None where they are out of the way
     """
 
     birth: np.ndarray
@@ -70,6 +71,7 @@ class Expected:
     before: int = 0
     doubt: int = 0
     hidden: np.ndarray | None = None
+    volume: np.ndarray | None = None
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -91,6 +93,11 @@ class Expected:
         """uint8, 255 where nothing can be said: hidden, or covered first by a bead that may not lie yet."""
         doubtful = _between(self.birth, max(self.laid - self.doubt, 0), self.laid)
         return doubtful if self.hidden is None else doubtful | self.hidden
+
+    @cached_property
+    def head(self) -> np.ndarray:
+        """uint8, 255 where the head or the gantry may be."""
+        return np.zeros(self.birth.shape, np.uint8) if self.volume is None else self.volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +202,11 @@ class ExpectedViews:
         Raises RenderError where drawing fails.
         """
         laid = self._toolpath.laid_at(file_pos)
-        hidden = self._blind
+        volume = None
         if not parked and self._head is not None:
-            head = self._head.mask(position_mm, self._bed, self._camera)
-            hidden = head if hidden is None else hidden | head
+            volume = self._head.mask(position_mm, self._bed, self._camera)
         birth = self._birth(self._drawing(position_mm, file_pos, cancelled, parked))
-        return Expected(birth, laid, before, lag_beads, hidden)
+        return Expected(birth, laid, before, lag_beads, self._blind, volume)
 
     def map_at(
         self,

@@ -153,6 +153,12 @@ class View:
         """(H, W) uint8, 255 where something newly hides the view."""
         return self._occluders.find(steady.frame, filament)
 
+    def head(self, steady: SteadyFrame, observed: np.ndarray, expected: Expected) -> np.ndarray:
+        """(H, W) uint8, 255 where the head or the gantry hides the view; inside the volume that they may take up."""
+        if expected.volume is None:
+            return expected.head
+        return self._occluders.within(steady.frame, observed, expected.volume)
+
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
         self._occluders.accept(steady.frame)
