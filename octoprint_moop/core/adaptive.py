@@ -25,8 +25,17 @@ class AdaptiveSegmenter:
     frame shows it there.
     """
 
-    def __init__(self, material: HsvThresholds | None, reference_bgr: np.ndarray | None = None) -> None:
-        """material : the user's thresholds, None where none are set; reference_bgr : (H, W, 3) uint8, the empty bed."""
+    def __init__(
+        self,
+        material: HsvThresholds | None,
+        reference_bgr: np.ndarray | None = None,
+        bed_moves: bool = False,
+    ) -> None:
+        """material : the user's thresholds, None where none are set; reference_bgr : (H, W, 3) uint8, the empty bed.
+
+        bed_moves : a pixel shows another part of the bed at each check, so that only colours can be learned
+        """
+        self._bed_moves = bed_moves
         colours = None if reference_bgr is None else opponent(reference_bgr)
         self._filament: np.ndarray | None = None
         self._background = np.zeros(every_colour().shape[1])
@@ -80,7 +89,8 @@ class AdaptiveSegmenter:
         fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), 50.0)
         self._background = _remember(self._background, fringe + rest)
         self._model = None
-        self._remember_plate(colours, filament, background)
+        if not self._bed_moves:
+            self._remember_plate(colours, filament, background)
 
     def _not_the_bed(self, colours: np.ndarray) -> np.ndarray:
         """(H, W) bool: False where the plate's background is seen unchanged."""

@@ -23,6 +23,8 @@ from .view import View
 
 TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
+HIDDEN_RATIO = 0.02  # of the complete print, that nothing but an obstacle explains
+HIDDEN = "Something stands in the view: a hand, or a tool?"
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 
@@ -135,12 +137,13 @@ class Inspector:
         expected = view.expected(moment)
         seen = view.segmenter.observe(steady.frame, expected)
         observed = seen.mask
-        head = view.head(steady, observed, expected)
         hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
-        ignored = steady.outside | hidden | head | seen.unsure | expected.ignored
+        # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
+        doubtful = expected.head & cv2.bitwise_not(observed & expected.mask)
+        ignored = steady.outside | hidden | doubtful | seen.unsure | expected.ignored
         comparison = compare(expected.mask, observed, expected.complete, ignored)
         self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
-        blocked = self._blocked(expected, hidden, head, seen.unsure)
+        blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
         if blocked:
             return Check(moment, UNUSABLE, comparison, reason=blocked)
         view.accept(steady)
@@ -153,7 +156,7 @@ class Inspector:
         return check
 
     @staticmethod
-    def _blocked(expected: Expected, hidden: np.ndarray, head: np.ndarray, unsure: np.ndarray) -> str:
+    def _blocked(expected: Expected, hidden: np.ndarray, doubtful: np.ndarray, unsure: np.ndarray) -> str:
         """Why too little of the print is seen to judge it; "" where enough is.
 
         A head that stands over the print hides what it hides; anything else that does is somebody's hand.
@@ -161,7 +164,7 @@ class Inspector:
         if hidden.any():
             return HIDDEN
         wanted = max(cv2.countNonZero(expected.mask), 1)
-        if cv2.countNonZero(expected.mask & (head | expected.ignored)) > MOST_HIDDEN_RATIO * wanted:
+        if cv2.countNonZero(expected.mask & (doubtful | expected.ignored)) > MOST_HIDDEN_RATIO * wanted:
             return "The print head hides the print. Let it park for the picture."
         if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
             return "Filament and bed look alike here: more light, or a bed of another colour, would help."

@@ -73,23 +73,6 @@ class Occluders:
         hidden = cv2.dilate(np.where(large[labels], np.uint8(255), np.uint8(0)), np.ones((9, 9), np.uint8))
         return cv2.resize(hidden, self._size_px, interpolation=cv2.INTER_NEAREST)
 
-    def within(self, frame_bgr: np.ndarray, filament: np.ndarray, volume: np.ndarray) -> np.ndarray:
-        """(H, W) uint8, 255 where something in `volume` hides the view: what is neither filament nor the bare bed,
-        and what such patches enclose. The volume is a generous guess, so that all of it cannot be given up.
-        """
-        small = self._small(frame_bgr)
-        inside = cv2.resize(volume, self._work_px, interpolation=cv2.INTER_NEAREST) > 0
-        matter = cv2.resize(filament, self._work_px, interpolation=cv2.INTER_AREA) > 127
-        strange = inside & ~matter & (_difference(small, self._reference) > COLOUR_STEP / 2)
-        patches = cv2.morphologyEx(strange.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        hidden = np.zeros_like(patches)
-        outlines, _ = cv2.findContours(patches, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        large = [outline for outline in outlines if cv2.contourArea(outline) > OCCLUDER_RATIO / 4 * patches.size]
-        if large:
-            cv2.fillConvexPoly(hidden, cv2.convexHull(np.concatenate(large)), 255)
-        hidden = cv2.dilate(hidden, np.ones((3, 3), np.uint8)) & (inside * np.uint8(255)) & (~matter * np.uint8(255))
-        return cv2.resize(hidden, self._size_px, interpolation=cv2.INTER_NEAREST)
-
     def accept(self, frame_bgr: np.ndarray) -> None:
         """The frame is good: what it shows is what the view looks like now."""
         self._recent = self._small(frame_bgr)

@@ -22,6 +22,7 @@ from .usable import Occluders, refuse_unusable
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
+SAME_POSE_MM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,15 +82,12 @@ class View:
         self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._bare_bgr = self._reference_bgr
         self._reference_position_mm = printer.bed.reference_mm
-        self.segmenter: Segmenter
-        if segmentation == "thresholds" and material is not None:
-            self.segmenter = ThresholdSegmenter(material)
-        else:
-            self.segmenter = AdaptiveSegmenter(material, self._reference_bgr)
+        self._material, self._segmentation = material, segmentation
         self._previous_bgr: np.ndarray | None = None
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
         self._stabiliser: Stabiliser | None = None
+        self._followed_pose: tuple[float, ...] | None = None
         self._memory: Memory | None = None
         self._memory_position_mm = self._reference_position_mm
 
@@ -141,6 +139,7 @@ class View:
         self._previous_bgr = frame_bgr
         if self._stabiliser is None:
             self._begin(frame_bgr, moment)
+        self._follow_bed(moment)
         turn = self._stabiliser.turn(frame_bgr, moment.position_mm)
         moved = self._notice(turn)
         outside = np.zeros(frame_bgr.shape[:2], np.uint8)
@@ -151,13 +150,7 @@ class View:
 
     def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
         """(H, W) uint8, 255 where something newly hides the view."""
-        return self._occluders.find(steady.frame, filament)
-
-    def head(self, steady: SteadyFrame, observed: np.ndarray, expected: Expected) -> np.ndarray:
-        """(H, W) uint8, 255 where the head or the gantry hides the view; inside the volume that they may take up."""
-        if expected.volume is None:
-            return expected.head
-        return self._occluders.within(steady.frame, observed, expected.volume)
+        return self._occluders.find(steady.frame, filament | self._unknown)
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
@@ -172,8 +165,48 @@ class View:
             self._camera, self._printer.bed, (self._printer.width_mm, self._printer.depth_mm), self._reference_bgr,
             self._reference_position_mm, exclude,
         )  # fmt: skip
-        self._light = Light(self._reference_bgr, exclude)
-        self._occluders = Occluders(self._reference_bgr)
+        self.segmenter = self._choose_segmenter(moment)
+
+    def _choose_segmenter(self, moment: Moment) -> Segmenter:
+        if self._segmentation == "thresholds" and self._material is not None:
+            return ThresholdSegmenter(self._material)
+        moves = not moment.parked and self._printer.bed.kind != "fixed"
+        return AdaptiveSegmenter(self._material, None if moves else self._bare_bgr, bed_moves=moves)
+
+    def _follow_bed(self, moment: Moment) -> None:
+        """Have the reference show the bed where it stands now."""
+        pose = self._expected.pose(moment.position_mm)
+        if pose == self._followed_pose:
+            return
+        reference, known = self._reference_at(np.array(pose))
+        self._unknown = cv2.bitwise_not(known)
+        self._light = Light(reference, self.expected(moment).complete | self._unknown)
+        self._occluders = Occluders(reference)
+        self._followed_pose = pose
+
+    def _reference_at(self, shift_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The reference picture with its bed moved to where the bed is now, and (H, W) uint8, 255 where that is known."""
+        reference_shift_mm = np.array(self._expected.pose(self._reference_position_mm))
+        everywhere = np.full(self._reference_bgr.shape[:2], 255, np.uint8)
+        if np.abs(shift_mm - reference_shift_mm).max() < SAME_POSE_MM:
+            return self._reference_bgr, everywhere
+        width, depth = self._printer.width_mm, self._printer.depth_mm
+        corners_mm = np.array([[0, 0, 0], [width, 0, 0], [width, depth, 0], [0, depth, 0]], float)
+        before_px, now_px = (self._camera.project(corners_mm + shift) for shift in (reference_shift_mm, shift_mm))
+        if not (np.isfinite(before_px).all() and np.isfinite(now_px).all()):
+            return self._reference_bgr, np.zeros_like(everywhere)
+        motion = cv2.getPerspectiveTransform(before_px.astype(np.float32), now_px.astype(np.float32))
+        size = self._camera.image_size_px
+        moved = cv2.warpPerspective(self._reference_bgr, motion, size, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.warpPerspective(everywhere, motion, size)
+        bed_before, bed_now = (np.zeros_like(everywhere) for _ in range(2))
+        cv2.fillConvexPoly(bed_before, before_px.round().astype(np.int32), 255)
+        cv2.fillConvexPoly(bed_now, now_px.round().astype(np.int32), 255)
+        picture = np.where(bed_now[..., None] > 0, moved, self._reference_bgr)
+        # what the bed stood before is seen now for the first time, and its rim is a thing of its own
+        known = np.where(bed_now > 0, seen, cv2.bitwise_not(bed_before))
+        rim = cv2.morphologyEx(bed_now | bed_before, cv2.MORPH_GRADIENT, np.ones((15, 15), np.uint8))
+        return picture, known & cv2.bitwise_not(rim)
 
     def _notice(self, turn: CameraTurn) -> str:
         """The sentence where the camera has moved far and not yet stood still at its new place; else "".

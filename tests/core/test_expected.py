@@ -161,22 +161,22 @@ def test_of_two_objects_the_one_on_the_camera_s_side_is_seen_whatever_their_numb
     assert (seen.front[both] == nearer).all()
 
 
-def test_an_unparked_head_is_ignored_where_it_stands():
+def test_an_unparked_head_may_hide_what_lies_within_its_volume():
     head = HeadModel((Box((-10, -12, 0), (10, 12, 30)),), Box((-50, 10, 15), (250, 30, 40)))
     bed = BedMotion("y", (0, 150, 0))
     position = (90.0, 120.0, 4.0)
     seen = views(vase(), bed, head=head)
-    assert not seen.at(3000, position).ignored.any()
-    ignored = seen.at(3000, position, parked=False).ignored
+    assert not seen.at(3000, position).head.any()
+    volume = seen.at(3000, position, parked=False).head
     rng = np.random.default_rng(1)
     nozzle = np.array([90, 150, 4])  # a slinger's nozzle does not move in Y: the bed does
     inside = nozzle + rng.uniform((-10, -12, 0), (10, 12, 30), (400, 3))
     beam = np.array([0, 150, 4]) + rng.uniform((-50, 10, 15), (250, 30, 40), (400, 3))
     for x, y in CAMERA.project(np.concatenate([inside, beam])).round().astype(int):
         if 0 <= x < 640 and 0 <= y < 480:
-            assert ignored[y, x]
+            assert volume[y, x]
     far = CAMERA.project(np.array([[90.0, 60.0, 0.0]])).round().astype(int)[0]
-    assert not ignored[far[1], far[0]]
+    assert not volume[far[1], far[0]]
 
 
 def test_a_beam_that_reaches_behind_the_camera_does_not_turn_inside_out():

@@ -1,0 +1,54 @@
+"""Frames taken as the head stands: head and gantry in the picture, the bed wherever the last bead left it.
+
+Painted by the demo's simulated webcam, whose painter shares nothing with the renderer under test.
+"""
+
+from __future__ import annotations
+
+import gzip
+
+import pytest
+
+from octoprint_moop.core.camera import BedMotion
+from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.header import Header, Moment, Printer
+from octoprint_moop.core.inspection import Check, Inspector
+from octoprint_moop.core.raster import CvRenderer
+from octoprint_moop.demo.faults import Fault
+from octoprint_moop.demo.run import JOB, MATERIAL, demo_camera
+from octoprint_moop.demo.simulate import Scene
+
+BEDS = {"y": BedMotion("y", (0, 200, 0)), "z": BedMotion("z"), "fixed": BedMotion("fixed")}
+
+
+@pytest.fixture(scope="module")
+def toolpath(tmp_path_factory):
+    path = tmp_path_factory.mktemp("job") / "job.gcode"
+    path.write_bytes(gzip.decompress(JOB.read_bytes()))
+    return read_gcode(path)
+
+
+def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = ()) -> list[Check]:
+    """The checks after each layer, with the nozzle over the last bead."""
+    camera = demo_camera().resized((480, 360))
+    scene = Scene(toolpath, camera, bed, seed=5, faults=faults)
+    header = Header(Printer(250, 210, 210, bed=bed), ((None, camera),), MATERIAL)
+    inspector = Inspector(header, toolpath, CvRenderer(), reference_bgr=scene.frame(0, (0, 200, 0)))
+    found = []
+    for layer in range(layers):
+        file_pos = int(toolpath.layer_end_pos[layer])
+        position = tuple(float(value) for value in toolpath.beads_mm[toolpath.laid_at(file_pos) - 1][3:6])
+        frame = scene.frame(file_pos, position)
+        found.append(inspector.check(frame, Moment(str(layer), file_pos, layer, position, parked=False)))
+    return found
+
+
+@pytest.mark.parametrize("kind", BEDS)
+def test_a_good_print_is_judged_and_left_alone(toolpath, kind):
+    assert {check.verdict for check in checks(toolpath, BEDS[kind], 12)} == {"ok"}
+
+
+def test_a_print_that_comes_off_is_seen_past_the_head(toolpath):
+    found = checks(toolpath, BEDS["y"], 12, (Fault("detachment", layer=9),))
+    assert all(check.verdict == "ok" for check in found[:9])
+    assert "failed" in [check.verdict for check in found[9:]]
