@@ -363,7 +363,8 @@ def _outside_parentheses(code: str) -> str:
     """Code without its comments in parentheses; one that is not closed stays."""
     if "(" not in code:
         return code
-    kept, rest = [], code
+    kept: list[str] = []
+    rest = code
     while True:
         before, opened, after = rest.partition("(")
         _, closed, behind = after.partition(")")

@@ -37,19 +37,23 @@ class Column:
         """rows : (n,) or (n, width)."""
         if len(rows):
             self._file.seek(self._head + self._rows * self._row_bytes)
-            self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
+            self._put(rows)
             self._rows += len(rows)
 
     def read(self, first: int, last: int) -> np.ndarray:
         """A copy of rows [first, last)."""
         self._file.seek(self._head + first * self._row_bytes)
-        data = self._file.read((last - first) * self._row_bytes)
-        return np.frombuffer(data, self._dtype).reshape(self._shape(last - first)).copy()
+        data = bytearray((last - first) * self._row_bytes)
+        cast(io.BytesIO, self._file).readinto(data)
+        return np.frombuffer(data, self._dtype).reshape(self._shape(last - first))
 
     def write(self, first: int, rows: np.ndarray) -> None:
         """Overwrite rows from `first` on."""
         self._file.seek(self._head + first * self._row_bytes)
-        self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
+        self._put(rows)
+
+    def _put(self, rows: np.ndarray) -> None:
+        self._file.write(memoryview(np.ascontiguousarray(rows, self._dtype)).cast("B"))
 
     def blocks(self) -> list[tuple[int, int]]:
         """The column cut into pieces that fit into memory: (first, last)."""

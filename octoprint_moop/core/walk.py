@@ -163,18 +163,16 @@ class Walk:
     def _find_travels(self, end_pos: np.ndarray) -> None:
         """Note the travels that lead far away from the last bead."""
         machine = self._machine
-        index = np.zeros(len(self._kind) + 1, np.int64)
-        np.multiply(self._count > 0, np.arange(1, len(index)), out=index[1:])
-        last_bead = np.maximum.accumulate(index)  # position after it, for each row and at the end
-        where = np.where((last_bead > 0)[:, None], self._position[last_bead, :2], machine.last_xy)
+        last_bead = _last_said(self._count > 0)  # where the nozzle is after it, for each row and at the end
         rows = np.flatnonzero(self._travel)
-        place = self._position[rows + 1, :2]
-        beyond = np.abs(place - where[rows])
+        before, place = last_bead.take(rows), self._position[rows + 1, :2]
+        beyond = np.abs(place - np.where((before > 0)[:, None], self._position[before, :2], machine.last_xy))
         far = np.maximum(beyond[:, 0], beyond[:, 1]) >= FAR_MM
         laid = machine.laid + self.beads_upto[rows[far]]
         for bead, end, (x, y) in zip(laid.tolist(), end_pos[rows[far]].tolist(), place[far].tolist()):
             machine.travels.add(bead - 1, end, x, y)
-        machine.last_xy = (float(where[-1, 0]), float(where[-1, 1]))
+        if last_bead[-1] > 0:
+            machine.last_xy = (float(self._position[last_bead[-1], 0]), float(self._position[last_bead[-1], 1]))
 
     def _find_tails(self, end_pos: np.ndarray, stops: np.ndarray) -> None:
         """Note the retractions that follow a bead directly: nothing but quiet commands between."""

@@ -1,0 +1,106 @@
+"""How fast G-code is read, and in how much memory: `python benchmarks/gcode.py FILE.gcode …`.
+
+Prints JSON. The speed is CPU time against OctoPrint's own gcodeInterpreter on the same file, in turns within one run
+(the ratio of medians; absolute times belong to the machine). The memory is the peak of a fresh process that reads the
+file's body repeated to `--copies-mb`, without and with a cache, and then from the cache.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Callable
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from octoprint_moop.core.gcode import read_gcode
+
+ONE_READING = """
+import json, re, sys, time
+from octoprint_moop.core.gcode import read_gcode
+before = time.process_time()
+toolpath = read_gcode(sys.argv[1], cache_dir=sys.argv[2] or None)
+seconds = time.process_time() - before
+peak_mb = int(re.search(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read()).group(1)) / 1024
+print(json.dumps({"cpu_s": round(seconds, 3), "peak_mb": round(peak_mb, 1), "beads": len(toolpath)}))
+"""
+
+
+def cpu_s(work: Callable[[], object]) -> float:
+    before = time.process_time()
+    work()
+    return time.process_time() - before
+
+
+def octoprint_reading(path: Path) -> Callable[[], object]:
+    from octoprint.util.gcodeInterpreter import gcode
+
+    return lambda: gcode().load(str(path))
+
+
+def compared(path: Path, runs: int) -> dict[str, object]:
+    read_gcode(path)
+    ours, theirs = [], []
+    for _ in range(runs):
+        ours.append(cpu_s(lambda: read_gcode(path)))
+        theirs.append(cpu_s(octoprint_reading(path)))
+    median, their_median = statistics.median(ours), statistics.median(theirs)
+    megabytes = path.stat().st_size / 1e6
+    return {
+        "file": path.name,
+        "megabytes": round(megabytes, 1),
+        "moop_cpu_s": round(median, 3),
+        "octoprint_cpu_s": round(their_median, 3),
+        "moop_mb_per_s": round(megabytes / median, 1),
+        "times_less_cpu": round(their_median / median, 1),
+    }
+
+
+def repeated(path: Path, megabytes: float, target: Path) -> None:
+    """The file's first part once, and from its first layer comment on until the size is reached."""
+    data = path.read_bytes()
+    layer = re.search(rb"^;\s?(?:LAYER|layer|CHANGE_LAYER)", data, re.MULTILINE)
+    begin = layer.start() if layer else 0
+    with open(target, "wb") as file:
+        file.write(data[:begin])
+        while file.tell() < megabytes * 1e6:
+            file.write(b"G92 E0\n" + data[begin:])
+
+
+def memory(path: Path, megabytes: float) -> dict[str, object]:
+    with tempfile.TemporaryDirectory() as folder:
+        large, kept = Path(folder) / "large.gcode", Path(folder) / "kept"
+        repeated(path, megabytes, large)
+        found: dict[str, object] = {"megabytes": round(large.stat().st_size / 1e6, 1)}
+        for name, cache in (("no_cache", ""), ("building_cache", str(kept)), ("from_cache", str(kept))):
+            command = [sys.executable, "-c", ONE_READING, str(large), cache]
+            found[name] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--copies-mb", type=float, default=100.0)
+    arguments = parser.parse_args()
+    print(
+        json.dumps(
+            {
+                "speed": [compared(path, arguments.runs) for path in arguments.files],
+                "memory": memory(arguments.files[0], arguments.copies_mb),
+            },
+            indent=1,
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
