@@ -10,6 +10,7 @@ import numpy as np
 from octoprint_moop.core.calibrate import Lens
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.header import Printer
+from octoprint_moop.core.lens import outermost_ray
 from octoprint_moop.core.markers import MarkerPlate
 from octoprint_moop.core.plate import PlateSettings, bed_middle_mm, place_markers
 from octoprint_moop.core.segment import HsvThresholds
@@ -124,13 +125,12 @@ def volume_error_px(
     axes = [corner + np.linspace(0, side, 11) for corner, side in zip(corner_mm, bed_mm)] + [np.linspace(0, 100, 6)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     in_camera = points @ true.camera_from_room[:3, :3].T + true.tvec_mm
-    width, height = true.image_size_px
-    corners = Lens.of(true).rays(np.array([[0, 0], [width, 0], [0, height], [width, height]], float))
     slope = np.hypot(in_camera[:, 0], in_camera[:, 1]) / np.maximum(in_camera[:, 2], 1e-9)
-    ahead = (in_camera[:, 2] > 0) & (slope < np.nanmax(np.linalg.norm(corners, axis=1)))
+    # Beyond the outermost ray the lens's polynomial folds back into the picture.
+    ahead = (in_camera[:, 2] > 0) & (slope < outermost_ray(true))
     ahead &= np.linalg.norm(in_camera, axis=1) > nearest_mm
     seen = true.project(points[ahead])
-    inside = ((seen >= 0) & (seen < [width, height])).all(axis=1)
+    inside = ((seen >= 0) & (seen < true.image_size_px)).all(axis=1)
     return np.linalg.norm(found.project(points[ahead][inside]) - seen[inside], axis=1)
 
 

@@ -202,8 +202,8 @@ def _fit_pinhole(views: Sequence[BoardView], board: Board, size_px: tuple[int, i
 
 
 def _fit_fisheye(views: Sequence[BoardView], board: Board, size_px: tuple[int, int]) -> _Fit:
-    points = [board.points_mm().reshape(-1, 1, 3)] * len(views)
-    pixels = [view.corners_px.reshape(-1, 1, 2).astype(np.float64) for view in views]
+    points = [board.points_mm().reshape(1, -1, 3)] * len(views)
+    pixels = [view.corners_px.reshape(1, -1, 2).astype(np.float64) for view in views]
     rms_px, K, distortion, rvecs, tvecs = cv2.fisheye.calibrate(
         points, pixels, size_px, np.eye(3), np.zeros(4),
         flags=_FISHEYE_FLAGS,

@@ -175,7 +175,7 @@ def _on_beads(
 
 
 def _unexplained(camera: Camera, other: Camera, edge: _Edges) -> np.ndarray:
-    """(N,) px: the observed edge from where `other` expects it; the middle, by which a mask is wide all round, is out."""
+    """(N,) px: the observed edge from where `other` expects it, less the middle: masks are wide all round."""
     moved = ((other.project(edge.points_mm) - camera.project(edge.points_mm)) * edge.normal).sum(axis=1)
     left = edge.off_px - moved
     return left - np.median(left)
