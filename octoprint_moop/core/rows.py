@@ -163,16 +163,16 @@ def _words(
     decimals = np.where(dot, stop - position.take(maybe_dot) - 1, 0)
     digits = stop - letter_at - 1 - minus - dot
 
-    bad = np.zeros(len(end), bool)
-    bad[line[event == _BAD]] = True
-    bad[letter_line[(digits < 1) | (digits > MOST_DIGITS) | (decimals < 0)]] = True
-    bad[letter_line[minus & (position.take(at + 1) != letter_at + 1)]] = True
-    bad[letter_line[(letter != ord("E")) & (kind.take(letter_line) >= SET_E)]] = True
+    wrong = (digits < 1) | (digits > MOST_DIGITS) | (decimals < 0) | (text.take(letter_at - 1) != _BLANK)
+    wrong |= minus & (position.take(at + 1) != letter_at + 1)
+    wrong |= (letter != ord("E")) & (kind.take(letter_line) >= SET_E)
     stray = (event == _MINUS) | (event == _DOT)
     stray[(at + 1)[minus]] = False
     stray[maybe_dot[dot]] = False
-    bad[line[stray]] = True
-    bad[letter_line[text.take(letter_at - 1) != _BLANK]] = True
+    stray |= event == _BAD
+    bad = np.zeros(len(end), bool)
+    bad[letter_line.take(np.flatnonzero(wrong))] = True
+    bad[line.take(np.flatnonzero(stray))] = True
     bad[odd] = True
     if bad.any():
         kind[bad] = OTHER
