@@ -12,11 +12,11 @@ import re
 
 def plain_read(data: bytes, relative_e: bool = False) -> dict:
     """`beads`: (start, end, fed_mm, end_pos) of each; `tails`: last bead -> end of the retraction that follows it;
-    `filament_mm`; `bytes`."""
+    `travels`: ends of the moves that extrude nothing; `filament_mm`; `bytes`."""
     at, shift, e = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 0.0
     moves_relative, unit, flow, area = False, 1.0, 1.0, None
     volumetric, tool, fed, most = False, 0, {}, {}
-    beads, tails, tail_open = [], {}, False
+    beads, tails, travels, tail_open = [], {}, set(), False
     text = data.decode("utf-8", errors="replace")
     position = 3 if text.startswith("\ufeff") else 0
     for line in re.findall(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+$", text.lstrip("\ufeff")):
@@ -66,6 +66,8 @@ def plain_read(data: bytes, relative_e: bool = False) -> dict:
                     tails[len(beads) - 1] = position
             elif name in ("G2", "G3") or moved or feed > 1e-7 or abs(goal[2] - at[2]) > 1e-6:
                 tail_open = False
+            if name in ("G0", "G1") and moved and feed <= 1e-7:
+                travels.add(position)
             at = goal
         elif name == "G92":
             if not set(words) & set("XYZE"):
@@ -101,7 +103,7 @@ def plain_read(data: bytes, relative_e: bool = False) -> dict:
             tool, tail_open = int(name[1:]), False
         elif name != "G17" and name not in QUIET:
             tail_open = False
-    return {"beads": beads, "tails": tails, "filament_mm": sum(most.values()), "bytes": position}
+    return {"beads": beads, "tails": tails, "travels": travels, "filament_mm": sum(most.values()), "bytes": position}
 
 
 QUIET = {f"M{number}" for number in (73, 106, 107, 117, 118, 204, 205, 220, 400, 486, 572, 593, 900)}
