@@ -6,6 +6,7 @@ and why, how much of the image they covered, and how far the lens may be off, ar
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Mapping, Sequence
 
@@ -88,6 +89,11 @@ class Lens:
         return rays
 
 
+def mean_max_json(error: tuple[float, float]) -> dict[str, float | None]:
+    """{"mean", "max"}; None where nothing is known, as JSON has neither infinity nor NaN."""
+    return {name: round(value, 3) if math.isfinite(value) else None for name, value in zip(("mean", "max"), error)}
+
+
 @dataclass(frozen=True, eq=False)
 class LensResult:
     """A lens and how well it is known.
@@ -128,7 +134,7 @@ class LensResult:
             "held_out_by_order_px": {name: round(value, 4) for name, value in self.held_out_by_order_px.items()},
             "coverage_ratio": round(self.coverage_ratio, 3),
             "standard_error": {name: round(value, 6) for name, value in self.standard_error.items()},
-            "error_px": {"mean": round(self.error_px[0], 3), "max": round(self.error_px[1], 3)},
+            "error_px": mean_max_json(self.error_px),
             "notes": list(self.notes),
         }
 

@@ -18,7 +18,7 @@ from .assign import Assignment, assignments
 from .camera import Camera
 from .errors import CalibrationError, CameraError
 from .fit import Solution, least_squares, numeric_slopes
-from .calibrate import Lens
+from .calibrate import Lens, mean_max_json
 from .lens import outermost_ray
 from .markers import Disc, MarkerPlate, find_discs
 from .outline import Feet, drop_feet, hole_outline, inner_colour, marker_outline, measure_edge_px
@@ -60,15 +60,10 @@ class PoseResult:
             **self.camera.to_json(),
             "rms_px": round(self.rms_px, 4),
             "markers_px": [None if px is None else [round(px[0], 3), round(px[1], 3)] for px in self.markers_px],
-            "error_px": _mean_max(self.error_px),
-            "error_mm": _mean_max(self.error_mm),
+            "error_px": mean_max_json(self.error_px),
+            "error_mm": mean_max_json(self.error_mm),
             "notes": list(self.notes),
         }
-
-
-def _mean_max(error: tuple[float, float]) -> dict[str, float | None]:
-    """None where nothing is known: JSON has no infinity."""
-    return {name: round(value, 3) if math.isfinite(value) else None for name, value in zip(("mean", "max"), error)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,6 +151,9 @@ def test_rays_and_projection_undo_each_other():
 def test_a_lens_can_be_read_from_a_result_and_nonsense_cannot():
     data = calibrate_lens(views(WEBCAM, 6), BOARD, "pinhole").to_json()
     json.dumps(data, allow_nan=False)
+    three = calibrate_lens(views(WEBCAM, 3, near_mm=240), BOARD, "pinhole")
+    json.dumps(three.to_json(), allow_nan=False)
+    assert any("Only 3 views" in note for note in three.notes)
     assert np.allclose(Lens.from_json(data).K, data["K"])
     for nonsense in ({}, [], {"K": [[1]]}, {**data, "K": [[float("nan")] * 3] * 3}, {**data, "image_size_px": None}):
         with pytest.raises(CameraError):
