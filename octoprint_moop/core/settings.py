@@ -13,7 +13,7 @@ VERSION = 1
 ACTIONS = ("none", "notify", "pause", "cancel", "cancel_object")
 SEGMENTATIONS = ("adaptive", "thresholds")
 SENSITIVITIES = ("low", "medium", "high")
-CAPTURES = ("stand", "slicer")
+CAPTURES = ("park", "stand", "slicer")
 
 
 def number(default: float, low: float, high: float, unit: str, sentence: str) -> Any:
@@ -50,8 +50,14 @@ class Settings:
 
     webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")
     capture: str = choice(
-        "stand", CAPTURES, "When to look: as the head stands at the end of a layer, or where the slicer's @moop marks it."
-    )
+        "park", CAPTURES,
+        "Where the head is when a picture is taken: moved out of the picture where it stands over the print, or left "
+        "as it stands, or where the slicer's own moves have brought it before an @moop.",
+    )  # fmt: skip
+    park_at: str = text("", "Where to park: x,y in mm. Empty for an edge of the bed away from the print.")
+    park_lift_mm: float = number(1.0, 0.0, 20.0, "mm", "How far to lift the head on the way there and back.")
+    park_retract_mm: float = number(1.0, 0.0, 10.0, "mm", "How much filament to draw back while parked.")
+    park_speed_mm_s: float = number(150.0, 10.0, 1000.0, "mm/s", "How fast to go there and back.")
     every_layers: int = number(1, 1, 1000, "layers", "Look after every so many layers.")
     min_interval_s: float = number(0.0, 0.0, 3600.0, "s", "Look at most once in this time.")
     longest_s: float = number(

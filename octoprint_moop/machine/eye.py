@@ -31,6 +31,7 @@ from ..core.raster import CvRenderer
 from ..core.settings import read_settings
 from . import bench
 from .bench import Answer
+from .parking import read_modes
 from .pictures import decode, encode_mask
 from .pipe import receive, send
 from .recording import Recording
@@ -71,7 +72,8 @@ class Eye:
         blobs     : the empty bed's picture, JPEG, or nothing
         keep_as   : where to put a packed copy of the job, for the recording
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
-        Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, notes, renderer.
+        Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, modes (at each end), notes,
+        renderer.
         """
         toolpath = read_gcode(Path(job), cache_dir=Path(cache))
         if keep_as and not Path(keep_as).exists():
@@ -88,6 +90,7 @@ class Eye:
             "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
             "cancel_commands": list(toolpath.cancel_commands),
+            "modes": [modes.to_json() for modes in read_modes(_as_octoprint_counts(Path(job)), toolpath.layer_end_pos)],
             "notes": list(toolpath.notes),
             "renderer": self._draw().name,
         }, []
@@ -130,6 +133,17 @@ def answer(eye: Eye, do: str, blobs: list[bytes], arguments: dict[str, Any]) -> 
     if do in QUESTIONS:
         return getattr(eye, do)(blobs, **arguments)
     return bench.QUESTIONS[do](blobs, **arguments)
+
+
+def _as_octoprint_counts(job: Path) -> bytes:
+    """The file's bytes, with what is no UTF-8 as long as OctoPrint takes it to be when it tells file positions."""
+    with gzip.open(job, "rb") if job.suffix == ".gz" else open(job, "rb") as file:
+        text = file.read()
+    try:
+        text.decode("utf-8")
+        return text
+    except UnicodeDecodeError:
+        return text.decode("utf-8", errors="replace").encode("utf-8")
 
 
 def _pack(job: Path, packed: Path) -> None:

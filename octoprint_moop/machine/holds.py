@@ -20,7 +20,9 @@ from typing import Any, Callable, Collection, Protocol, Sequence
 log = logging.getLogger("octoprint.plugins.moop.holds")
 
 SETTLE_TAG = "moop:settle"
-_REPORT = re.compile(r"X:\s*(-?\d+(?:\.\d+)?)\s*Y:\s*(-?\d+(?:\.\d+)?)\s*Z:\s*(-?\d+(?:\.\d+)?)")
+_REPORT = re.compile(
+    r"X:\s*(-?\d+(?:\.\d+)?)\s*Y:\s*(-?\d+(?:\.\d+)?)\s*Z:\s*(-?\d+(?:\.\d+)?)(?:\s*E:\s*(-?\d+(?:\.\d+)?))?"
+)
 
 
 class Printer(Protocol):
@@ -47,6 +49,7 @@ class Hold:
     since_s: float = field(default_factory=time.monotonic)
     armed: bool = False
     position_mm: tuple[float, float, float] | None = None
+    e_mm: float | None = None
     over: threading.Event = field(default_factory=threading.Event)
     stopped: threading.Event = field(default_factory=threading.Event)
     dropped: str = ""
@@ -121,6 +124,20 @@ class Holds:
         if hold is not None:
             hold.drop(why, lost)
 
+    def move(self, hold: Hold, commands: Sequence[str]) -> None:
+        """Send moves while the job is held, and begin to wait anew for the printer to report where they ended."""
+        hold.armed, hold.position_mm = False, None
+        hold.over.clear()
+        if hold.dropped:
+            hold.over.set()
+        hold.tag = f"{SETTLE_TAG}:{next(self._numbers)}"
+        self._printer.commands([*commands, "M400", "M114"], tags={hold.tag})
+
+    def move_back(self, hold: Hold, commands: Sequence[str]) -> None:
+        """Send moves that end the hold's own; nobody waits for them, and the file's next line comes after."""
+        if not hold.dropped:
+            self._printer.commands(list(commands), tags={hold.tag})
+
     def release(self, hold: Hold) -> None:
         """Let the job go on. Harmless where it was done before, or the connection has gone."""
         with self._lock:
@@ -170,7 +187,8 @@ class Holds:
             return
         report = _REPORT.search(line)
         if report:
-            x, y, z = report.groups()
+            x, y, z, e = report.groups()
+            hold.e_mm = None if e is None else float(e)
             hold.position_mm = (float(x), float(y), float(z))
             hold.over.set()
 

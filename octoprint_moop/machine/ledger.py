@@ -82,9 +82,11 @@ class Ledger:
         self._pictures[check["id"]] = pictures
         while len(self._pictures) > KEPT_PICTURES:
             self._pictures.popitem(last=False)
-        unseeing = check["verdict"] in ("unusable", "camera_moved")
+        blind = check["reason"] if check["verdict"] in ("unusable", "camera_moved") else None
+        if check["total_px"] == 0:
+            blind = "Nothing of the print is in view: it lies outside the picture, or behind the print head. Park the head."
         self.note(
-            blind=check["reason"] if unseeing else None, checks=len(self._checks), last_check=check,
+            blind=blind, checks=len(self._checks), last_check=check,
             held_s=round(self._status["held_s"] + held_s, 3),
         )  # fmt: skip
         self._tell("check", check)

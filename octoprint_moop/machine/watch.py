@@ -20,6 +20,7 @@ from .acting import Actor
 from .holds import Hold, Holds
 from .ledger import IDLE, Ledger
 from .link import EyeGone, EyeLink, Interrupted
+from .parking import Modes, Park, modes_at
 from .recorder import Recorder
 from .webcam import Webcam
 
@@ -32,6 +33,7 @@ REST_S = 600.0
 """After so long without a print the eye is closed, and its memory given back."""
 HEAD_MM = 40.0
 """As far around the nozzle the head may cover what lies below."""
+EDGE_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class _Print:
     recorder: Recorder | None = None
     ends: list[int] = field(default_factory=list)
     bounds_mm: list[list[float]] = field(default_factory=list)
+    modes: list[Modes] = field(default_factory=list)
     born: int = 0
     revivals: int = 0
     last_pos: float = -1
@@ -61,6 +64,25 @@ class _Print:
     last_jpeg: bytes = b""
     frames: int = 0
     switched_off: bool = False
+
+    def park_at_mm(self, wanted: str) -> tuple[float, float]:
+        """Where to park: as wanted, or at the left edge of the bed, or at the right one where the print is at the left.
+
+        Y is that at which the camera was calibrated, where the bed moves; else the far edge.
+        """
+        try:
+            x, y = (float(part) for part in wanted.split(","))
+            return x, y
+        except ValueError:
+            pass
+        printer = (self.job.header or {})["printer"]
+        width, depth = printer["volume_mm"]["width"], printer["volume_mm"]["depth"]
+        left, front = (-width / 2, -depth / 2) if printer["origin"] == "center" else (0.0, 0.0)
+        near_left = self.bounds_mm[0][0] - left < HEAD_MM
+        near_right = left + width - self.bounds_mm[1][0] < HEAD_MM
+        x = left + width - EDGE_MM if near_left and not near_right else left + EDGE_MM
+        moving = printer["bed_motion"] == "y"
+        return x, printer["bed_reference_mm"]["y"] if moving else front + depth - EDGE_MM
 
     def stands_clear(self, position_mm: tuple[float, float, float]) -> bool:
         """The head is beside the print, not above it."""
@@ -208,6 +230,7 @@ class Watch:
             return
         current.born = self._eye.births
         current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
+        current.modes = [Modes.from_json(modes) for modes in result["modes"]]
         for note in result["notes"]:
             log.info("%s: %s", current.job.name, note)
         if not again:
@@ -270,15 +293,47 @@ class Watch:
 
         Raises Interrupted, FrameError, EyeGone, and what the eye raises.
         """
-        settings = self._settings
-        if not hold.over.wait(settings.settle_timeout_s):
+        self._settle(hold)
+        moves = self._moves(current, hold)
+        if moves is None:
+            return self._picture(current, hold)
+        away, back = moves
+        try:
+            self.holds.move(hold, away)
+            self._settle(hold)
+            return self._picture(current, hold)
+        finally:
+            self.holds.move_back(hold, back)
+
+    def _settle(self, hold: Hold) -> None:
+        """Wait for the printer's report, and a little longer. Raises MoopError without one, Interrupted."""
+        timeout_s = self._settings.settle_timeout_s
+        if not hold.over.wait(timeout_s):
             raise MoopError(
-                f"The printer did not report its position within {settings.settle_timeout_s:.0f} s. "
+                f"The printer did not report its position within {timeout_s:.0f} s. "
                 "If that happens again, its firmware may not know M114."
             )
-        if hold.position_mm is None or hold.stopped.wait(settings.settle_s):
+        if hold.position_mm is None or hold.stopped.wait(0):
             raise Interrupted(hold.dropped)
-        deadline_s = time.monotonic() + settings.check_timeout_s
+
+    def _moves(self, current: _Print, hold: Hold) -> tuple[list[str], list[str]] | None:
+        """Away and back, where the head is to be parked, is not out of the way already, and may be moved."""
+        settings, position_mm = self._settings, hold.position_mm
+        modes = modes_at(current.modes, current.ends, hold.file_pos)
+        if settings.capture != "park" or position_mm is None or modes is None or current.stands_clear(position_mm):
+            return None
+        volume_mm = (current.job.header or {})["printer"]["volume_mm"]
+        park = Park(
+            current.park_at_mm(settings.park_at), settings.park_lift_mm, settings.park_retract_mm,
+            settings.park_speed_mm_s, volume_mm["height"],
+        )  # fmt: skip
+        return park.moves(position_mm, hold.e_mm, modes)
+
+    def _picture(self, current: _Print, hold: Hold) -> _Look:
+        """Take a picture of the print as it stands now, and have it checked. Raises as `_see`."""
+        if hold.stopped.wait(self._settings.settle_s) or hold.position_mm is None:
+            raise Interrupted(hold.dropped)
+        deadline_s = time.monotonic() + self._settings.check_timeout_s
         jpeg = self._fresh(current, hold, deadline_s)
         x, y, z = hold.position_mm
         moment = {
@@ -347,7 +402,7 @@ class Watch:
             self._ledger.note(blind=f"The print cannot be held for a look ({self.holds.refused}).")
         elif self.holds.missed >= 3:
             self._ledger.note(blind="The lines that are sent do not match the file. Was it changed after it was read?")
-        elif settings.longest_s and settings.capture == "stand" and self._ledger.age_s > settings.longest_s:
+        elif settings.longest_s and settings.capture != "slicer" and self._ledger.age_s > settings.longest_s:
             self.holds.ask()
 
     def _end(self, how: str) -> None:
@@ -377,8 +432,8 @@ class Watch:
         current = self._print
         if current is None or not current.ends:
             return
-        looks_different = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min", "segmentation", "sensitivity")
-        if any(getattr(before, name) != getattr(settings, name) for name in looks_different):
+        seeing = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min", "segmentation", "sensitivity", "head")
+        if any(getattr(before, name) != getattr(settings, name) for name in seeing):
             self._open(current, again=True)
         else:
             self._plan(current)

@@ -1,0 +1,100 @@
+"""Moving the head out of the picture while the job is held, and back as if nothing had happened.
+
+No mode of the firmware is ever changed: G90 and M82 mean different things to different firmwares, and what they were
+before cannot be asked for. The moves are written in the modes that the file has set at that point; where those are
+relative, in inches or in doubt, the head stays where it is (or keeps its filament).
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import Any, Sequence
+
+_WORDS = re.compile(
+    rb"^[ \t]*(?:N\d+[ \t]*)?(?:(G9[01]|M8[23]|G2[01])(?![\d.])|G[0-3][ \t][^;\n]*?F[ \t]*(\d+(?:\.\d*)?))", re.MULTILINE
+)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What the file has set at a layer's end, so far as it matters here.
+
+    plain      : positions are absolute and in millimetres
+    relative_e : whether filament is; None where firmwares do not agree (G90 and G91 change it for some)
+    feed       : mm/min that a move without its own would have; None where the file has said none
+    """
+
+    plain: bool = True
+    relative_e: bool | None = False
+    feed: float | None = None
+
+    @classmethod
+    def from_json(cls, data: Sequence[Any]) -> Modes:
+        return cls(*data)
+
+    def to_json(self) -> list[Any]:
+        return [self.plain, self.relative_e, self.feed]
+
+
+@dataclass(frozen=True)
+class Park:
+    """at_mm: where the head stands for the picture. It is lifted and the filament drawn back on the way."""
+
+    at_mm: tuple[float, float]
+    lift_mm: float
+    retract_mm: float
+    speed_mm_s: float
+    height_mm: float
+
+    def moves(
+        self, position_mm: tuple[float, float, float], e_mm: float | None, modes: Modes
+    ) -> tuple[list[str], list[str]] | None:
+        """(away, back) from where the printer says it stands; None where it must not be moved."""
+        if not modes.plain or modes.feed is None or not 0 <= position_mm[2] <= self.height_mm:
+            return None
+        x, y, z = position_mm
+        top = min(z + self.lift_mm, self.height_mm)
+        travel = f"F{self.speed_mm_s * 60:.0f}"
+        away = [f"G1 Z{top:.3f} F600", f"G1 X{self.at_mm[0]:.3f} Y{self.at_mm[1]:.3f} {travel}"]
+        back = [f"G1 X{x:.3f} Y{y:.3f} {travel}", f"G1 Z{z:.3f} F600"]
+        if self.retract_mm and modes.relative_e:
+            away, back = [f"G1 E-{self.retract_mm:g} F2100", *away], [*back, f"G1 E{self.retract_mm:g} F2100"]
+        elif self.retract_mm and modes.relative_e is False and e_mm is not None:
+            away = [f"G1 E{e_mm - self.retract_mm:.3f} F2100", *away]
+            back = [*back, f"G1 E{e_mm:.3f} F2100"]
+        return away, [*back, f"G1 F{modes.feed:g}"]
+
+
+def read_modes(text: bytes, ends: Sequence[int]) -> list[Modes]:
+    """The modes at each of these file positions, rising. text: the whole file, as positions count in it.
+
+    A file that never says is taken to be absolute and in millimetres, as firmwares start.
+    """
+    found: list[Modes] = []
+    relative = inches = e_if_g90_counts = e_if_not = False
+    feed: float | None = None
+
+    def now() -> Modes:
+        return Modes(not relative and not inches, e_if_not if e_if_not == e_if_g90_counts else None, feed)
+
+    for match in _WORDS.finditer(text):
+        while len(found) < len(ends) and match.start() >= ends[len(found)]:
+            found.append(now())
+        word, said = match.groups()
+        if word in (b"G90", b"G91"):
+            relative = e_if_g90_counts = word == b"G91"
+        elif word in (b"M82", b"M83"):
+            e_if_g90_counts = e_if_not = word == b"M83"
+        elif word in (b"G20", b"G21"):
+            inches = word == b"G20"
+        else:
+            feed = float(said)
+    return found + [now()] * (len(ends) - len(found))
+
+
+def modes_at(modes: Sequence[Modes], ends: Sequence[int], file_pos: int) -> Modes | None:
+    """The modes where the job is held; None where that is not a layer's end, and nothing is known."""
+    index = bisect_left(ends, file_pos)
+    return modes[index] if index < len(modes) and ends[index] == file_pos else None
