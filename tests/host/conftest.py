@@ -1,4 +1,4 @@
-"""Rooms with a real OctoPrint in them, one for each test module. MOOP_OCTOPRINT names another server's interpreter."""
+"""One room with a real OctoPrint in it for all tests. MOOP_OCTOPRINT names another server's interpreter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ pytest.importorskip("octoprint")
 from .room import Room
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shared_room(tmp_path_factory):
     with Room(tmp_path_factory.mktemp("room"), os.environ.get("MOOP_OCTOPRINT", sys.executable)) as room:
         room.set_up()

@@ -185,16 +185,27 @@ class Room:
         self.server.upload(path, print=False)
         self.wait("the eye is up", lambda: self.status["renderer"])
 
-    def print(self, text: str, name: str = "") -> Path:
+    def print(self, text: str | bytes, name: str = "", from_pos: int = 0) -> Path:
         """Begin to print, and wait until that is noticed; what was sent before is forgotten."""
         self._prints += 1
         path = self.folder / (name or f"box_{self._prints}.gcode")
-        path.write_text(text)
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
         self.webcam.look_at(path)
         self._sent_from = len(self._sent_lines())
-        name = self.server.upload(path)["files"]["local"]["name"]
+        name = self.server.upload(path, print=not from_pos)["files"]["local"]["name"]
+        if from_pos:
+            self.wait("selected", lambda: self.server.api("GET", "/api/job")["job"]["file"]["name"] == name)
+            self.server.api("POST", "/api/plugin/spy", json={"command": "start_from", "pos": from_pos})
         self.wait("the print is noticed", lambda: self.status["job"] == name)
         return path
+
+    def reconnect(self, **virtual_printer: Any) -> None:
+        """Connect anew, to a virtual printer with these settings."""
+        self.server.api("POST", "/api/settings", json={"plugins": {"virtual_printer": virtual_printer}})
+        self.server.api("POST", "/api/connection", json={"command": "disconnect"})
+        self.wait("offline", lambda: self.server.job_state().startswith("Offline"), 20)
+        self.server.api("POST", "/api/connection", json={"command": "connect"})
+        self.server.wait_state({"Operational"}, 30)
 
     def command(self, **command: Any) -> None:
         self.server.api("POST", "/api/job", json=command)

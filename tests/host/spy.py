@@ -1,4 +1,4 @@
-"""A single-file plugin for the tests' server: writes down what was sent to the printer, and can eavesdrop on threads."""
+"""A single-file plugin for the tests' server: writes down what was sent, and starts prints where REST has no way to."""
 
 import json
 import os
@@ -6,12 +6,21 @@ import os
 import octoprint.plugin
 
 
-class Spy(octoprint.plugin.OctoPrintPlugin):
+class Spy(octoprint.plugin.SimpleApiPlugin):
     def initialize(self):
         self._sent = open(os.path.join(self.get_plugin_data_folder(), "sent.jsonl"), "a", buffering=1)
 
     def on_sent(self, comm, phase, cmd, cmd_type, gcode, subcode=None, tags=None, *args, **kwargs):
         self._sent.write(json.dumps([cmd, sorted(tags or ())]) + "\n")
+
+    def is_api_protected(self):
+        return True
+
+    def get_api_commands(self):
+        return {"start_from": ["pos"]}
+
+    def on_api_command(self, command, data):
+        self._printer.start_print(pos=data["pos"])
 
 
 __plugin_name__ = "Spy"

@@ -19,8 +19,12 @@ def test_a_good_print_is_checked_at_every_layer_and_never_paused(room):
 
 
 def test_a_check_is_made_with_the_printer_at_rest_after_the_layers_last_command(room):
-    room.print(box_gcode(layers=3))
-    room.wait_done()
+    room.save(capture="stand")
+    try:
+        room.print(box_gcode(layers=3))
+        room.wait_done()
+    finally:
+        room.save(capture="park")
     sent = room.sent()
     ours = [n for n, (_, tags) in enumerate(sent) if any(tag.startswith("moop:settle") for tag in tags)]
     assert [sent[n][0] for n in ours] == ["M400", "M114"] * 3
@@ -48,6 +52,24 @@ def test_a_print_that_comes_off_the_bed_is_paused_at_that_layer_before_another_l
     room.wait_done()
     assert room.sent_of_file() == lines
     assert len(room.checks) == 20
+
+
+def test_a_head_over_the_print_is_parked_for_the_picture_and_comes_back(room):
+    room.print(box_gcode(layers=3))
+    room.wait_done()
+    sent = [(command, next((t for t in tags if t.startswith("moop:settle")), "")) for command, tags in room.sent()]
+    first = next(n for n, (_, tag) in enumerate(sent) if tag)
+    ours = [command for command, tag in sent[first:] if tag]
+    last_of_layer = sent[first - 1][0]
+    assert ours[:2] == ["M400", "M114"]
+    back_at = last_of_layer.split(" E")[0].replace("G1 ", "")
+    assert ours[2:12] == [
+        "G1 E-1 F2100", "G1 Z1.300 F600", "G1 X2.000 Y198.000 F9000", "M400", "M114",
+        f"G1 {back_at} F9000", "G1 Z0.300 F600", "G1 E1 F2100", "G1 F9000", "M400",
+    ]  # fmt: skip
+    name = room.moop("GET", "recordings")["recordings"][0]["name"]
+    frames = (room.server.basedir / "data/moop/recordings" / name / "frames.jsonl").read_text()
+    assert frames.count('"parked": true') == 3 and frames.count('"x": 2.0, "y": 198.0') >= 2
 
 
 def test_the_pictures_of_a_check_can_be_fetched(room):

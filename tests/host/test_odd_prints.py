@@ -1,0 +1,182 @@
+"""Printers, files and disks that are not as they should be: the print goes on, and the next one is watched again."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from .room import box_gcode
+from .test_faults import eye_pids
+
+
+def watched_well(room, layers: int) -> None:
+    """A print like any other is watched from its first layer to its last."""
+    path = room.print(box_gcode(layers=layers))
+    room.wait_done()
+    assert [check["layer"] for check in room.wait_checks(layers)] == list(range(layers))
+    assert room.sent_of_file() == path.read_text().splitlines()
+
+
+def test_a_printer_that_never_reports_its_position_prints_on_unwatched(room):
+    room.reconnect(m114FormatString="no position")
+    room.save(settle_timeout_s=1)
+    try:
+        path = room.print(box_gcode(layers=3))
+        room.wait("said", lambda: "did not report its position" in (room.status["blind"] or ""))
+        room.wait_done()
+        assert room.checks == []
+        assert room.sent_of_file() == path.read_text().splitlines()
+    finally:
+        room.save(settle_timeout_s=5)
+        room.reconnect(m114FormatString="X:{x} Y:{y} Z:{z} E:{e[current]} Count: A:{a} B:{b} C:{c}")
+    watched_well(room, 2)
+
+
+def test_lines_that_the_printer_asks_for_again_are_watched_all_the_same(room):
+    room.reconnect(simulated_errors=["60:resend", "90:resend", "150:resend"])
+    try:
+        room.print(box_gcode(layers=3))
+        room.wait_done()
+        assert [check["layer"] for check in room.checks] == [0, 1, 2]
+        assert {check["verdict"] for check in room.checks} == {"ok"}
+    finally:
+        room.reconnect(simulated_errors=[])
+
+
+def test_bytes_that_are_no_utf_8_do_not_shift_the_layers(room):
+    text = box_gcode(layers=4).encode()
+    lines = text.split(b"\n")
+    for n in range(3, len(lines), 7):
+        lines[n] += " ; Düsenprüfung ±5°".encode("latin-1")
+    room.print(b"\n".join(lines))
+    room.wait_done()
+    assert [check["layer"] for check in room.checks] == [0, 1, 2, 3]
+    assert {check["verdict"] for check in room.checks} == {"ok"}
+
+
+def test_a_print_that_starts_in_the_middle_of_its_file_is_watched_from_there(room):
+    text = box_gcode(layers=6)
+    pos = text.index("\n", text.index("Z0.900")) + 1  # within layer 2
+    room.print(text, from_pos=pos)
+    room.wait_done()
+    assert [check["layer"] for check in room.checks] == [2, 3, 4, 5]
+
+
+def test_a_pause_that_the_file_asks_for_is_not_ours_and_loses_nothing(room):
+    lines = box_gcode(layers=4).splitlines()
+    at = next(n for n, line in enumerate(lines) if "Z0.900" in line)
+    room.print("\n".join([*lines[:at], "@pause", *lines[at:]]) + "\n")
+    room.server.wait_state({"Paused"}, 30)
+    assert room.status["action"] == "none"
+    room.command(command="pause", action="resume")
+    room.wait_done()
+    assert [check["layer"] for check in room.checks] == [0, 1, 2, 3]
+    assert room.sent_of_file() == lines
+
+
+def test_a_file_that_is_replaced_while_it_is_printed_is_still_watched_even_by_a_new_eye(room):
+    path = room.print(box_gcode(layers=40))
+    room.wait_checks(2)
+    (room.folder / "other.gcode").write_text("; something else by now\n")
+    os.replace(room.folder / "other.gcode", room.server.basedir / "uploads" / path.name)
+    for pid in eye_pids(room):
+        os.kill(pid, signal.SIGKILL)
+    count = len(room.checks)
+    room.wait_checks(count + 2)
+    assert {check["verdict"] for check in room.checks} == {"ok"}
+
+
+def test_a_recording_that_cannot_be_written_costs_the_recording_alone(room):
+    recordings = room.server.basedir / "data" / "moop" / "recordings"
+    aside = recordings.with_name("aside")
+    shutil.move(recordings, aside)
+    recordings.write_text("a file where a folder should be")
+    try:
+        room.print(box_gcode(layers=2))
+        room.wait_done()
+        assert len(room.checks) == 2
+        assert "not recorded any more" in room.server.log_text()
+    finally:
+        recordings.unlink()
+        shutil.move(aside, recordings)
+
+
+def test_settings_saved_in_the_middle_of_a_check_hold_for_the_next(room):
+    path = room.print(box_gcode(layers=5))
+    room.wait_checks(1)
+    room.webcam.answer = "slow"
+    served = room.webcam.served
+    room.wait("a picture is asked for", lambda: room.webcam.served > served)
+    room.save(sensitivity="low", settle_s=0.1)
+    room.webcam.answer = "picture"
+    room.wait_done()
+    room.save(sensitivity="medium", settle_s=0.0)
+    assert room.sent_of_file() == path.read_text().splitlines()
+    assert {check["verdict"] for check in room.checks} == {"ok"}
+    assert room.checks[-1]["layer"] == 4
+
+
+def test_a_timelapse_that_takes_its_pictures_at_the_same_moments_does_not_matter(room):
+    room.server.api("POST", "/api/timelapse", json={"type": "zchange", "fps": 25, "postRoll": 0})
+    try:
+        watched_well(room, 5)
+    finally:
+        room.server.api("POST", "/api/timelapse", json={"type": "off"})
+
+
+@pytest.mark.parametrize("text", ["", "; nothing but a comment\n", "M105\nM105\n", "G28\nG1 X10 Y10 F3000\n"])
+def test_a_file_that_extrudes_nothing_is_printed_and_said_not_to_be_watched(room, text):
+    room._prints += 1
+    path = room.folder / f"odd_{room._prints}.gcode"
+    path.write_text(text)
+    answer = room.server.request("POST", "/api/files/local", files={"file": (path.name, text or " ")}, data={
+        "select": "true", "print": "true"})  # fmt: skip
+    assert answer.ok
+    time.sleep(1)
+    room.server.wait_state({"Operational"}, 20)
+    assert room.status["checks"] == 0
+    assert not room.status["watching"]
+
+
+def test_many_prints_in_a_row_leave_nothing_behind(room):
+    process = Path(f"/proc/{room.server._process.pid}")
+
+    def counted() -> tuple[int, int]:
+        return len(list((process / "fd").iterdir())), len(list((process / "task").iterdir()))
+
+    one_layer = box_gcode(layers=1, side_mm=12)
+    for _ in range(3):
+        room.print(one_layer)
+        room.wait_done()
+    files, threads = counted()
+    for _ in range(10):
+        room.print(one_layer)
+        room.wait_done()
+    files_after, threads_after = counted()
+    assert files_after <= files + 5
+    assert threads_after <= threads + 3
+
+
+def test_an_eye_does_not_outlive_its_server(room):
+    """Last in this file: it takes the server away, and brings it back."""
+    room.print(box_gcode(layers=8))
+    room.wait_checks(1)
+    pids = eye_pids(room)
+    assert pids
+    os.kill(room.server._process.pid, signal.SIGKILL)
+    room.server._process.wait()
+    deadline = time.monotonic() + 15
+    while any(Path(f"/proc/{pid}/cmdline").exists() for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(Path(f"/proc/{pid}/cmdline").exists() for pid in pids)
+    room.server.start()
+    room.server.wait_operational()
+    room.warm_up()
+    cut_short = room.moop("GET", "recordings")["recordings"][0]
+    assert "ended" not in cut_short and cut_short["checks"] >= 0
+    watched_well(room, 2)
