@@ -66,7 +66,7 @@ def learn_from_label(
 
     frame_bgr : (H, W, 3) uint8
     mask      : (H, W) uint8, non-zero on filament
-    region    : (x0, y0, x1, y1) to which the work is limited, the whole frame where None
+    region    : (x0, y0, x1, y1) to which the work is limited; about the labelled print, its size all around, where None
     Raises SegmentationError where the mask does not fit the frame, or holds no filament or nothing but filament.
     """
     height, width = frame_bgr.shape[:2]
@@ -74,7 +74,7 @@ def learn_from_label(
         raise SegmentationError(
             f"The mask is {mask.shape[1]}x{mask.shape[0]}, but its picture {width}x{height}. Draw it on that picture."
         )
-    x0, y0, x1, y1 = region or (0, 0, width, height)
+    x0, y0, x1, y1 = region or _around(mask)
     x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
     if x1 <= x0 or y1 <= y0:
         raise SegmentationError(f"The box {region} lies outside of the {width}x{height} picture.")
@@ -96,6 +96,15 @@ def learn_from_label(
     return LearnedFilament(
         model, look_of_label(crop, label, model), Light(frame_bgr, whole), (x0, y0, x1, y1), (width, height)
     )
+
+
+def _around(mask: np.ndarray) -> tuple[int, int, int, int]:
+    """Where the labelled print may grow to and its pieces may lie: its own size all around. May exceed the frame."""
+    x, y, w, h = cv2.boundingRect((mask > 0).astype(np.uint8))
+    if not w:
+        return (0, 0, mask.shape[1], mask.shape[0])
+    margin = max(w, h)
+    return (x - margin, y - margin, x + w + margin, y + h + margin)
 
 
 def learn_from_clicks(

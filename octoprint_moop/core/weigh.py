@@ -29,6 +29,7 @@ _ALIKE, _APART = 0.7, 0.85  # separability: below, only neighbours together deci
 _UNSURE = ((0.1, 0.4), (1.0, 0.25))
 _GUIDE_RADIUS_PX, _GUIDE_NOISE = 8, 0.01
 _SAME_LIGHT = 0.02
+_CONTRAST = (0.2, 0.45)  # of a frame's own colours: below, nothing is there; above, something is
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +193,10 @@ def weigh(
         if story.support < _WRONG_LOOK:
             own, contrast = _own_colours(colours, mask)
             # what looks like everything around it is not there
-            trust = float(np.clip((contrast - 0.3) / 0.4, 0, 1))
-            seen = (1 - 0.75 * trust) * seen + 1.5 * own
+            trust = float(np.interp(contrast, _CONTRAST, (0, 1)))
+            mixed = (1 - 0.75 * trust) * seen + 1.5 * own
+            # the bed that is seen unchanged stays the bed
+            seen = mixed if look.plate is None else np.where(look.plate.known < 0, seen, mixed)
             story = explain(seen, mask)
             odds = seen + trust * _expected_odds(story.mask)
         else:
