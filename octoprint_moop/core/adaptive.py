@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import cv2
 import numpy as np
 
@@ -76,7 +75,7 @@ class AdaptiveSegmenter:
             filament &= self._not_the_bed(colours)
         outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
         background = outside & (observed.mask == 0) & (observed.unsure == 0)
-        # its edge too, which is a mixture of both, and so is what lies just outside of it: there they must be told apart
+        # its edge too, a mixture of both, and so is what lies just outside: there they must be told apart
         edge = _grown(filament, _INSIDE_PX) & _grown(observed.mask > 0, 1) & (expected.mask > 0) & (inside == 0)
         lies = filament | edge
         beside = _grown(filament, 2 * _INSIDE_PX + 1) & ~outside & (expected.mask == 0)

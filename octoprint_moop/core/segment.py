@@ -19,7 +19,7 @@ HUE_MARGIN_DEG = 8.0
 
 @dataclass(frozen=True)
 class HsvThresholds:
-    """The paper's thresholds (equation 12). Hue in degrees, wrapping through 0 where hue_min > hue_max; S, V in 0..1."""
+    """The paper's thresholds (equation 12): hue in degrees, through 0 where hue_min > hue_max; S, V in 0..1."""
 
     hue_min_deg: float
     hue_max_deg: float
@@ -94,7 +94,8 @@ def _band(pixels: np.ndarray) -> HsvThresholds:
     middle_deg = np.rad2deg(np.arctan2(np.sin(hue).mean(), np.cos(hue).mean()))
     offset_deg = (pixels[:, 0] - middle_deg + 180) % 360 - 180
     low, high = np.percentile(offset_deg, [5, 95])
-    saturation, value = np.percentile(pixels[:, 1:], 5, axis=0)
+    # one grey level below, since S and V must exceed their limits and white filament often is as bright as can be
+    saturation, value = np.maximum(np.percentile(pixels[:, 1:], 5, axis=0) - 1 / 255, 0)
     return HsvThresholds(
         float((middle_deg + low) % 360), float((middle_deg + high) % 360), float(saturation), float(value)
     )

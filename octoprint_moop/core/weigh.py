@@ -19,7 +19,7 @@ from .explain import explain
 from .segment import Observation
 
 # Pixels in the region beyond which the work is done at a half, a third, … of the size
-WORK_PX, WORK_SHARP_PX = 120_000, 310_000
+WORK_PX, WORK_SHARP_PX = 80_000, 210_000
 
 _EXPECTED_WEIGHT = 3.0  # log-odds given to the believed story well inside and well outside of it
 _EDGE_PX = 2  # the story's edge is this uncertain: the weight grows from 0 to full over it
@@ -82,7 +82,7 @@ def _mask_at_work_size(mask: np.ndarray, step: int) -> np.ndarray:
 
 
 def _along_edges(values: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    """(H, W) float32: the guided filter of float32 `values` by the uint8 `guide`, at half the size (its fast variant)."""
+    """(H, W) float32: the guided filter of float32 `values` by the uint8 `guide`, worked at half the size."""
     height, width = values.shape
     half = ((width + 1) // 2, (height + 1) // 2)
     coarse = cv2.resize(values, half, interpolation=cv2.INTER_AREA)

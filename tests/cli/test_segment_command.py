@@ -87,7 +87,7 @@ def test_masks_that_would_replace_each_other_are_refused(pictures):
 def test_the_expected_mask_must_fit_its_image(pictures):
     cv2.imwrite(str(pictures / "small.png"), np.zeros((60, 80), np.uint8))
     result = run(
-        pictures / "later.jpg", "--learn", learned(pictures), "--expected", pictures / "small.png", "-o", pictures / "out"
+        pictures / "later.jpg", "--learn", learned(pictures), "--expected", pictures / "small.png", "-o", pictures
     )  # fmt: skip
     assert result.exit_code == 2 and "80x60" in result.output
 
