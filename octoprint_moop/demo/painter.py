@@ -111,7 +111,7 @@ class Painter:
         outline, side, top = _outline(bars, width, height), _side(bars, width, height), _top(bars, width)
         groove_bgr, side_bgr, top_bgr = self._colours(along, across, to_camera, matter.bead[strokes])
         self._paint_polygons(canvas, outline, side, top, groove_bgr, side_bgr, top_bgr)
-        self._paint_shadow(canvas.shadow, start, end, width)
+        self._paint_shadow(canvas.shadow, start, end, width, shift_mm[2])
         if self._light.mirror_ratio > 0:
             self._paint_mirror(canvas.mirror, start, end, width, height, shift_mm[2], side_bgr)
         canvas.top_mm = max(canvas.top_mm, float(matter.ends_mm[strokes][:, [2, 5]].max()))
@@ -181,9 +181,11 @@ class Painter:
             fill(canvas.colour, side[row], tint[3:6], 8, bits)
             fill(canvas.colour, top[row], tint[6:], 8, bits)
 
-    def _paint_shadow(self, shadow: np.ndarray, start: np.ndarray, end: np.ndarray, width: np.ndarray) -> None:
+    def _paint_shadow(
+        self, shadow: np.ndarray, start: np.ndarray, end: np.ndarray, width: np.ndarray, bed_z_mm: float
+    ) -> None:
         cast = self._towards / self._towards[2]
-        ends = np.stack([start - start[:, 2:] * cast, end - end[:, 2:] * cast], axis=1)
+        ends = np.stack([point - (point[:, 2:] - bed_z_mm) * cast for point in (start, end)], axis=1)
         self._lines(shadow, ends, width, np.full((len(start), 1), 255.0))
 
     def _paint_mirror(

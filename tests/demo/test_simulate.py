@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from octoprint_moop.core.camera import BedMotion
 from octoprint_moop.demo.faults import KINDS, Fault
 from octoprint_moop.demo.run import BED, demo_camera
 from octoprint_moop.demo.simulate import Nuisance, Scene
@@ -88,6 +89,20 @@ def test_the_bed_carries_the_print_through_the_picture(scene, toolpath):
     here, there = (scene().truth(end_of(toolpath, 20), (0.0, y, 6.3)) for y in (200.0, 190.0))
     rows = [np.flatnonzero(mask.any(axis=1)).mean() for mask in (here, there)]
     assert rows[1] < rows[0] - 5  # the bed is farther from the camera, so higher in its picture
+
+
+def test_a_bed_that_drops_takes_print_and_shadow_down_with_it(toolpath):
+    scene = Scene(toolpath, demo_camera(), BedMotion("z", (0.0, 0.0, 0.3)), with_head=False)
+    rows = []
+    for z in (0.3, 20.3):
+        position = (0.0, 200.0, z)
+        there, empty = scene.frame(end_of(toolpath, 20), position), scene.frame(0, position)
+        rows.append(np.flatnonzero(scene.truth(end_of(toolpath, 20), position).any(axis=1)).mean())
+        darker = empty.astype(int).sum(axis=2) - there.astype(int).sum(axis=2) > 25
+        darker &= cv2.dilate(scene.truth(end_of(toolpath, 20), position), np.ones((5, 5))) == 0
+        shadow = np.flatnonzero(cv2.morphologyEx(darker.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5))).any(axis=1))
+        assert abs(np.median(shadow) - rows[-1]) < 60  # on the bed, beside the print
+    assert rows[1] > rows[0] + 30
 
 
 def test_a_head_before_the_print_hides_it_and_a_parked_one_does_not(scene, toolpath):
