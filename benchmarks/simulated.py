@@ -3,7 +3,8 @@
     python benchmarks/simulated.py [--prints 24] [--seed 0] [--gcode FILE …]
 
 JSON on standard output. The pictures are SIMULATED: their figures compare versions of the code, they are no promise
-for a printer. The camera that the checks are told differs a little from the one that takes the pictures, as a calibration does.
+for a printer. The camera that the checks are told of differs a little from the one that takes the pictures, as after
+a calibration.
 A fault counts as visible from the first layer in which the true masks with and without it differ by E >= 0.015.
 """
 

@@ -6,9 +6,10 @@ import contextlib
 import json
 import signal
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any, Iterator
+from typing import Any
 
 import click
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import mmap
 import re
 import struct
+from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Any, Collection, Iterable
+from typing import Any
 
 # Written first and last: where they differ, the reader came between.
 _RECORD = struct.Struct("<qqdddq")

@@ -12,8 +12,9 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, Collection, Mapping
+from typing import Any
 
 from ..core.errors import MoopError
 
@@ -88,7 +89,16 @@ class DemoServer:
     # --- life ---------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Writes the folder and starts the process; returns before the server answers. Raises ServerError."""
+        """Writes the folder and starts the process; returns before the server answers. Raises ServerError.
+
+        The folder may be that of an earlier server: its uploads and recordings stay, its users and settings are new.
+        """
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HOST, self.port))
+            except OSError as error:
+                raise ServerError(f"Port {self.port} cannot be used ({error.strerror}). Choose another one.") from None
         self.basedir.mkdir(parents=True, exist_ok=True)
         (self.basedir / "config.yaml").write_text(json.dumps(self._config(), indent=1))  # JSON is YAML
         for name, source in self._plugins.items():
@@ -220,9 +230,10 @@ class DemoServer:
     def _add_user(self) -> None:
         import yaml
 
+        users_file = self.basedir / "users.yaml"
+        users_file.unlink(missing_ok=True)
         command = [*self._octoprint(), "user", "add", self.user, "--password", self.password, "--admin"]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-        users_file = self.basedir / "users.yaml"
         if done.returncode or not users_file.exists():
             raise ServerError(f"OctoPrint cannot be run with {self._python}: {(done.stderr or done.stdout)[-500:]}")
         users = yaml.safe_load(users_file.read_text())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 
 import pytest
 
@@ -21,6 +22,18 @@ def test_the_server_has_the_plugin_a_printer_and_an_administrator_and_leaves_no_
         group = server._process.pid
     with pytest.raises(ProcessLookupError):
         os.killpg(group, 0)
+
+
+def test_a_folder_can_be_used_again_and_a_taken_port_is_named(tmp_path):
+    for _ in range(2):
+        with DemoServer(tmp_path) as server:
+            assert server.api("GET", "/api/currentuser")["name"] == server.user
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(ServerError, match=f"Port {port}"):
+            DemoServer(tmp_path, port=port).start()
 
 
 def test_an_interpreter_without_octoprint_is_named_in_the_error(tmp_path):
