@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 from typing import Any, Callable, Iterator
@@ -11,14 +10,30 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import FLAGS, Canned, chromium_path, log_in, wait_for_page
+from .stage import FLAGS, OCTOPRINT, Canned, chromium_path, log_in
+
+WIDE = {"width": 1280, "height": 1400}
+# What a test may have left behind in the page: themes, dialogs, pop-ups, and what the tab was told.
+PUT_BACK = """() => {
+    document.querySelectorAll('body style, head style:not([data-kept])').forEach(style => style.remove());
+    $('.modal.in').modal('hide');
+    PNotify.removeAll();
+    const tab = ko.dataFor(document.getElementById('moop_watch'));
+    $('#temp_link a').tab('show');
+    tab.startOver();
+    tab.show('difference');
+    tab.hasMasks(false);
+    tab.trouble('');
+    tab.cameraKnown(null);
+    tab.status(null);
+    tab.checks([]);
+    tab.picture.image = tab.picture.masks = null;
+}"""
 
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DemoServer]:
-    python = os.environ.get("MOOP_OCTOPRINT_PYTHON")
-    options = {"octoprint_python": python} if python else {}
-    with DemoServer(tmp_path_factory.mktemp("octoprint"), **options) as running:
+    with DemoServer(tmp_path_factory.mktemp("octoprint"), octoprint_python=OCTOPRINT) as running:
         yield running
 
 
@@ -35,28 +50,28 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def session(chromium: Any, server: DemoServer) -> Any:
-    """Cookies of the logged-in administrator."""
-    context = chromium.new_context()
-    page = context.new_page()
+def loaded_page(chromium: Any, server: DemoServer) -> Iterator[Any]:
+    """OctoPrint's page with the administrator logged in, loaded once: a load takes longer than most tests."""
+    page = chromium.new_context(viewport=WIDE).new_page()
+    page.console_errors = []
+    page.on("console", lambda said: page.console_errors.append(said.text) if said.type == "error" else None)
+    page.on("pageerror", lambda error: page.console_errors.append(str(error)))
     log_in(page, server.url, server.user, server.password)
-    state = context.storage_state()
-    context.close()
-    return state
+    page.evaluate("document.querySelectorAll('style').forEach(style => style.dataset.kept = '1')")
+    yield page
+    page.context.close()
 
 
 @pytest.fixture
-def page(chromium: Any, server: DemoServer, session: Any) -> Iterator[Any]:
-    """A page of 1280 px that nobody has opened yet. The test fails on whatever the console calls an error."""
-    context = chromium.new_context(storage_state=session, viewport={"width": 1280, "height": 1400})
-    page = context.new_page()
-    errors: list[str] = []
-    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.expected_errors = []  # pieces of what a test provokes on purpose
-    yield page
-    context.close()
-    unexpected = [error for error in errors if not any(piece in error for piece in page.expected_errors)]
+def page(loaded_page: Any) -> Iterator[Any]:
+    """The page as just loaded, at 1280 px. The test fails on whatever the console calls an error meanwhile."""
+    loaded_page.expected_errors = []  # pieces of what a test provokes on purpose
+    loaded_page.set_viewport_size(WIDE)
+    yield loaded_page
+    loaded_page.evaluate(PUT_BACK)
+    loaded_page.unroute_all(behavior="wait")
+    errors, loaded_page.console_errors = loaded_page.console_errors, []
+    unexpected = [error for error in errors if not any(piece in error for piece in loaded_page.expected_errors)]
     assert not unexpected, "\n".join(unexpected)
 
 
@@ -66,12 +81,10 @@ def canned(page: Any) -> Canned:
 
 
 @pytest.fixture
-def open_tab(page: Any, server: DemoServer, canned: Canned) -> Callable[[], Any]:
+def open_tab(page: Any, canned: Canned) -> Callable[[], Any]:
     """Opens the MOOP tab of a page to which the printer seems to be in the state that `canned.printer` names."""
 
     def opened() -> Any:
-        page.goto(server.url + "/?l10n=en")
-        wait_for_page(page)
         page.evaluate(
             """printer => {
                 const state = ko.dataFor(document.getElementById('moop_watch')).printerState;
@@ -83,6 +96,7 @@ def open_tab(page: Any, server: DemoServer, canned: Canned) -> Callable[[], Any]
         )
         page.click("#tab_plugin_moop_link a")
         page.wait_for_selector("[data-test-id=moop-state-text]:visible")
+        page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).status()")
         return page
 
     return opened

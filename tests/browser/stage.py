@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
 from typing import Any, Optional
 
 import cv2
 import numpy as np
 
+# MOOP_OCTOPRINT names another server's interpreter.
+OCTOPRINT = os.environ.get("MOOP_OCTOPRINT", sys.executable)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # No GPU, no sandbox as root, and none of Chromium's own conversations with the world.
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking",

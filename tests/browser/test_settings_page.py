@@ -9,14 +9,12 @@ import pytest
 from octoprint_moop.core.settings import DEFAULTS
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import DARK, Canned, serious_violations, wait_for_page
+from .stage import DARK, Canned, serious_violations
 
 
 @pytest.fixture
 def settings_page(page: Any, canned: Canned, server: DemoServer) -> Iterator[Callable[[], Any]]:
     def opened() -> Any:
-        page.goto(server.url + "/?l10n=en")
-        wait_for_page(page)
         page.click("#navbar_show_settings")
         page.click("#settings_plugin_moop_link a")
         page.wait_for_selector("#settings_plugin_moop legend:visible")
@@ -88,12 +86,12 @@ def test_a_click_on_the_filament_takes_its_colour(settings_page: Any) -> None:
     canvas.click(position={"x": 90 / 320 * box["width"], "y": 120 / 240 * box["height"]})
     low, high = (float(page.input_value(field(name))) for name in ("hue_min_deg", "hue_max_deg"))
     assert low < 219 < high and high - low < 60  # the block's colour is (200, 90, 30) in BGR: hue 219
-    page.wait_for_function("document.querySelector('[data-test-id=moop-filament-share]').innerText.includes('4.7 %')")
+    page.wait_for_function("document.querySelector('#moop_settings_filament [data-test-id=moop-filament-share]').innerText.includes('4.7 %')")
 
 
 def test_the_ring_can_be_dragged(settings_page: Any) -> None:
     page = settings_page()
-    ring = page.locator("[data-test-id=moop-ring]").first
+    ring = page.locator("#moop_settings_filament [data-test-id=moop-ring]")
     ring.scroll_into_view_if_needed()
     box = ring.bounding_box()
     centre = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)

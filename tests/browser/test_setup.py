@@ -12,7 +12,7 @@ from octoprint_moop.core.camera import Camera
 from octoprint_moop.demo.server import DemoServer
 from octoprint_moop.demo.webcam import SnapshotServer
 
-from .stage import log_in, serious_violations
+from .stage import OCTOPRINT, log_in, serious_violations
 
 SIZE = (640, 480)
 CORNERS = np.array([[0, 0, 0], [200, 0, 0], [200, 200, 0], [0, 200, 0]], dtype=float)  # of OctoPrint's default profile
@@ -83,7 +83,7 @@ def stage() -> Stage:
 @pytest.fixture(scope="module")
 def bare_server(stage: Stage, tmp_path_factory: pytest.TempPathFactory) -> Iterator[DemoServer]:
     with SnapshotServer(stage.jpeg) as webcam, DemoServer(
-        tmp_path_factory.mktemp("bare"), snapshot_url=webcam.url
+        tmp_path_factory.mktemp("bare"), snapshot_url=webcam.url, octoprint_python=OCTOPRINT
     ) as running:
         yield running
 

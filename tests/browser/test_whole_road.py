@@ -9,14 +9,15 @@ import pytest
 
 from octoprint_moop.demo.run import Demo
 
-from .stage import log_in
+from .stage import OCTOPRINT, log_in
 
 FAULT_LAYER = 12
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    with Demo(tmp_path_factory.mktemp("demo"), fault="detachment", fault_layer=FAULT_LAYER) as running:
+    folder = tmp_path_factory.mktemp("demo")
+    with Demo(folder, fault="detachment", fault_layer=FAULT_LAYER, octoprint_python=OCTOPRINT) as running:
         yield running
 
 
@@ -45,7 +46,7 @@ def test_a_print_that_comes_loose_is_seen_told_resumed_and_ends(tab: Any, demo: 
 
     wait_for_text(tab, "state-text", "Print paused", 90)
     status = demo.server.api("GET", "/plugin/moop/status")
-    assert demo.server.job_state() == "Paused"
+    demo.server.wait_state({"Paused"}, 30)
     assert FAULT_LAYER <= status["last_check"]["layer"] <= FAULT_LAYER + 3
     assert tab.inner_text("[data-test-id=moop-failure-sentence]") == status["reason"]
     assert tab.inner_text("[data-test-id=moop-failure-done]") == "The print was paused."

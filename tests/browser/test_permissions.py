@@ -1,0 +1,49 @@
+"""Who may not do a thing sees no button for it, and is refused by the server all the same."""
+
+from __future__ import annotations
+
+from typing import Any, Iterator
+
+import pytest
+
+from octoprint_moop.demo.server import DemoServer
+
+from .stage import log_in
+
+GUEST, PASSWORD = "onlooker", "only-looking"
+
+
+@pytest.fixture(scope="module")
+def onlooker(chromium: Any, server: DemoServer) -> Iterator[Any]:
+    """The tab as a user sees it who may look at OctoPrint and nothing else."""
+    user = {"name": GUEST, "password": PASSWORD, "active": True, "admin": False, "groups": ["readonly"], "permissions": []}
+    server.api("POST", "/api/access/users", json=user)
+    context = chromium.new_context(viewport={"width": 1280, "height": 1000})
+    page = context.new_page()
+    log_in(page, server.url, GUEST, PASSWORD)
+    page.click("#tab_plugin_moop_link a")
+    page.wait_for_selector("[data-test-id=moop-state-text]:visible")
+    yield page
+    context.close()
+    server.api("DELETE", f"/api/access/users/{GUEST}")
+
+
+@pytest.mark.parametrize("button", ["check-now", "watch-toggle", "pardon", "not-set-up"])
+def test_an_onlooker_sees_the_state_and_no_buttons(onlooker: Any, button: str) -> None:
+    onlooker.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).status()")
+    assert "No print is running" in onlooker.inner_text("[data-test-id=moop-state-text]")
+    assert not onlooker.is_visible(f"[data-test-id=moop-{button}]")
+
+
+def test_the_set_up_tells_an_onlooker_who_can_help(onlooker: Any) -> None:
+    onlooker.click("[data-test-id=moop-page-setup]")
+    onlooker.wait_for_selector("text=You do not have the permission to set MOOP up.")
+    assert not onlooker.is_visible("[data-test-id=moop-step-camera]")
+
+
+@pytest.mark.parametrize("call", ["checkNow()", "watch(false)", "pardon()", "saveSetup({})", "deleteRecording('x')"])
+def test_the_server_refuses_an_onlooker_whatever_the_page_shows(onlooker: Any, call: str) -> None:
+    status = onlooker.evaluate(
+        f"() => new Promise(done => OctoPrint.plugins.moop.{call}.done(() => done(200)).fail(request => done(request.status)))"
+    )
+    assert status == 403
