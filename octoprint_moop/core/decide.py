@@ -50,6 +50,7 @@ class Track:
 
     lost: tuple[float, ...] = ()
     stray: tuple[float, ...] = ()
+    rim: tuple[float, ...] = ()
     unseen: tuple[float, ...] = ()
     barren: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
@@ -79,11 +80,12 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     limit = wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / total)
     lost = (evidence.lost_px / total - _usual(track.lost)) / limit
     stray = (evidence.stray_px / total - _usual(track.stray)) / limit
+    faint = _above(track.rim, evidence.rim_px / total) + _above(track.unseen, evidence.unseen_px / total)
     found = [
         Surprise("lost", lost),
         Surprise("stray", stray),
         Surprise("fresh", 0.0 if track.quiet else max(_barren(track, evidence, limit), *_fresh(track, evidence, wide))),
-        Surprise("all", lost + stray + _unseen(track, evidence, limit)),
+        Surprise("all", lost + stray + faint / limit),
     ]
     return tuple(sorted(found, key=lambda surprise: -surprise.size))
 
@@ -97,13 +99,12 @@ def _barren(track: Track, evidence: Evidence, limit: float) -> float:
     return (evidence.barren_px / total - usual) / limit
 
 
-def _unseen(track: Track, evidence: Evidence, limit: float) -> float:
-    """The surprise at how much of the last layers is not seen; 0 until enough checks have told how much is usual."""
-    if len(track.unseen) < FRESH_CHECKS:
+def _above(past: Sequence[float], value: float) -> float:
+    """By how much a figure that is never nothing lies above all that is usual; 0 until enough checks have told."""
+    if len(past) < FRESH_CHECKS:
         return 0.0
-    usual = median(track.unseen)
-    spread = 1.4826 * median(abs(value - usual) for value in track.unseen)
-    return max(evidence.unseen_px / max(evidence.total_px, 1) - usual - 3 * spread, 0.0) / limit
+    usual = median(past)
+    return max(value - usual - 4 * 1.4826 * median(abs(one - usual) for one in past), 0.0)
 
 
 def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
@@ -143,6 +144,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
         quiet=max(track.quiet - 1, 0),
         lost=_with(track.lost, evidence.lost_px / total),
         stray=_with(track.stray, evidence.stray_px / total),
+        rim=_with(track.rim, evidence.rim_px / total),
         unseen=_with(track.unseen, evidence.unseen_px / total),
         barren=_with(track.barren, evidence.barren_px / total),
         seen=tuple(

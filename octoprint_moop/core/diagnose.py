@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 
 from .decide import Outcome
-from .evidence import WHOLE, WINDOWS, Findings, Sight
+from .evidence import WHOLE, WINDOWS, Findings, Sight, disc
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
 
 GONE_RATIO = 0.5  # of the standing matter lost: it stands there no more
-OLD_MOVED_RATIO = 0.25  # share of the difference that is old matter's: then the old has moved
-EXPLAINED_RATIO = 0.35  # a movement that takes away less of the difference explains nothing
+OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
+EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
 LEAST_MOVE_PX = 2.0
 TURNS_DEG = (0, -8, 8, -16, 16, -25, 25)
@@ -65,12 +65,14 @@ class _Move:
 def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -> Diagnosis:
     """Name what `outcome` found in its scope."""
     scope = _Scope(outcome.object_id, findings, sight)
-    if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1) or scope.lost_px >= OLD_MOVED_RATIO * scope.wrong_px:
+    if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1):
         return _old_moved(scope, place)
     shift = scope.shift_above(lambda layer: place.covered(outcome.object_id, layer)[findings.window] > 0)
     if shift:
         how_far = _distance(place, shift, place.layer_z_mm(shift.layer))
         return Diagnosis(LAYER_SHIFT, f"Everything above layer {shift.layer} is shifted by about {how_far}.")
+    if scope.lost_px >= OLD_MOVED_RATIO * scope.wrong_px:
+        return _old_moved(scope, place)
     if scope.stray_px < COUNTERPART_RATIO * scope.unseen_px:
         since = scope.first_unseen_layer()
         how_much = "No" if scope.unseen_ratio(since) > 0.8 else "Too little"
@@ -106,6 +108,8 @@ class _Scope:
         everywhere = np.ones(findings.wanted.shape, bool)
         inside = everywhere if object_id == WHOLE else print_map.owner[window] == object_id
         around = everywhere if object_id == WHOLE else print_map.nearest[window] == object_id
+        owned = print_map.owner[window] >= 0
+        self._labelled = owned if owned.any() else everywhere
         self._origin_px = np.array([window[1].start, window[0].start], float)
         self._layer, self._layer_of = sight.layer, print_map.layer[window]
         self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
@@ -117,7 +121,15 @@ class _Scope:
         self.lost_px, self.stray_px, self.unseen_px, self.standing_px = (
             int(np.count_nonzero(mask)) for mask in (self._lost, self.stray, self._unseen, self._standing)
         )
-        self.wrong_px = int(np.count_nonzero(self._wanted ^ self._seen))
+        edge = disc(sight.tolerance_px)
+        wanted = self._wanted.astype(np.uint8)
+        near_edge = cv2.dilate(wanted, edge) != cv2.erode(wanted, edge)
+        # along the expected edges the evidence has no say, unless it spoke up
+        self._counts = (~near_edge & ~self._foreign) | self._lost | self._unseen | self.stray
+        self.wrong_px = self._differing_px(self._wanted)
+
+    def _differing_px(self, explained: np.ndarray) -> int:
+        return int(np.count_nonzero((explained ^ self._seen) & self._counts))
 
     def middle(self) -> tuple[float, float]:
         """The middle of what stands, in picture pixels."""
@@ -148,13 +160,24 @@ class _Scope:
     def moved_whole(self) -> Optional[_Move]:
         """How what stood there has moved as a whole; None where that doesn't explain what differs."""
         best: Optional[_Move] = None
-        standing = self._standing if self._standing.any() else self._wanted
+        loose = self._loose()
+        rest = self._standing & ~loose
         for turn_deg in TURNS_DEG:
-            move = self._best_move(_turned(standing, turn_deg), np.zeros_like(standing))
+            move = self._best_move(_turned(loose, turn_deg), rest)
             far = move is not None and (move.distance_px >= LEAST_MOVE_PX or turn_deg)
             if far and (best is None or move.explained_ratio > best.explained_ratio):
                 best = move
         return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
+
+    def _loose(self) -> np.ndarray:
+        """What stood in one piece with what is lost: a skirt stays where it is when the print comes off."""
+        body = self._standing & self._labelled
+        count, labels = cv2.connectedComponents(body.astype(np.uint8), connectivity=4)
+        whole_px = np.bincount(labels.ravel(), minlength=count)
+        lost_px = np.bincount(labels[self._lost], minlength=count)
+        loose = lost_px > 0.02 * whole_px
+        loose[0] = False
+        return loose[labels]
 
     def shift_above(self, covered: Callable[[int], np.ndarray]) -> Optional[_Move]:
         """From which layer on everything is displaced; None where that doesn't explain what differs."""
@@ -167,7 +190,7 @@ class _Scope:
             move = self._best_move(covered(layer), lower)
             if move and move.distance_px >= LEAST_MOVE_PX and (best is None or move.explained_ratio > best.explained_ratio + 0.03):
                 best = _Move(move.from_px, move.to_px, move.explained_ratio, layer)
-        return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
+        return best if best and best.explained_ratio >= 1.2 * EXPLAINED_RATIO else None
 
     def _best_move(self, part: np.ndarray, standing: np.ndarray) -> Optional[_Move]:
         """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
@@ -176,7 +199,7 @@ class _Scope:
             return None
         reach = max(24, int(0.6 * max(np.ptp(rows), np.ptp(columns))))
         pays = np.where(self._seen, 1.0, -1.0)
-        pays[standing | self._foreign] = 0.0
+        pays[standing | ~self._counts] = 0.0
         pays = cv2.copyMakeBorder(pays.astype(np.float32), reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
         top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
         field = pays[top : bottom + 2 * reach, left : right + 2 * reach]
@@ -187,8 +210,7 @@ class _Scope:
         there = cv2.warpAffine(
             part.astype(np.uint8), np.array([[1.0, 0, right_px], [0, 1.0, down_px]]), part.shape[::-1]
         )
-        explained = ((there > 0) & ~self._foreign) | standing
-        left_px = int(np.count_nonzero(explained ^ self._seen))
+        left_px = self._differing_px((there > 0) | standing)
         middle = _middle(part) + self._origin_px
         return _Move(tuple(middle), tuple(middle + [right_px, down_px]), 1 - left_px / max(self.wrong_px, 1))
 

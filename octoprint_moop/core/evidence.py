@@ -26,6 +26,9 @@ from .memory import MOST_MISFIT_PX, Memory
 
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 SPECK_PX = 6
+RIM_PX = 1.0
+REACH_RATIO = 0.07  # of the looked-at window's width: how far off the print stray matter may begin
+HIDING_PX, AROUND_PX, HIDING_CHANGE = 60, 12, 9.0
 WHOLE = -1
 
 Window = tuple  # (slice, slice): rows and columns
@@ -55,6 +58,7 @@ class Evidence:
     expected_px, total_px : of the expected mask now and of the complete one
     standing_px : established matter that was seen in earlier checks; lost_px : of it, what is seen no more
     stray_px    : matter where none is expected, new since all was well
+    rim_px      : the same within the tolerance band, but not right at the expected edge
     unseen_px   : matter of the last layers that is not seen and looks bare
     deep_px     : well inside what the last layers cover; barren_px : of it, what was never seen
     fresh       : for each of WINDOWS, pixels that its layers newly cover, and how many of them are seen
@@ -66,6 +70,7 @@ class Evidence:
     standing_px: int
     lost_px: int
     stray_px: int
+    rim_px: int
     unseen_px: int
     deep_px: int
     barren_px: int
@@ -104,8 +109,13 @@ class Findings:
 
 
 def find(sight: Sight, memory: Memory) -> Findings:
-    """Weigh one frame against what must be seen and what was seen. Pure; `Memory.learn` is for good checks."""
+    """Weigh one frame against what must be seen and what was seen; `Memory.learn` is for good checks.
+
+    While the memory is still settling, the calibration's misfit is looked for first: what moving the whole picture by a
+    few pixels explains at the first layers is no failure of the print.
+    """
     window = about_print(sight.expected.complete)
+    memory.settle(window, sight.expected.mask[window] > 0, sight.observed, sight.ignored)
     there = memory.moved(window)
     wanted_u8, observed_u8 = sight.expected.mask[window], sight.observed[there]
     wanted, observed, known = wanted_u8 > 0, observed_u8 > 0, sight.ignored[there] == 0
@@ -116,25 +126,36 @@ def find(sight: Sight, memory: Memory) -> Findings:
     wide = cv2.morphologyEx(wanted_u8, cv2.MORPH_OPEN, edge) > 0
     standing = memory.standing(there) & wide & known
     lost = standing & ~near_observed
-    stray = observed & ~near_wanted & known & ~memory.chronic(there)
+    outside = observed & known & ~memory.chronic(there)
+    stray = outside & ~near_wanted
+    rim = outside & near_wanted & (cv2.dilate(wanted_u8, disc(RIM_PX)) == 0)
     layer_of = sight.print_map.layer[window]
     recent = wanted & known & ~memory.given_up(there) & (layer_of > sight.layer - WINDOWS[-1])
-    unseen = recent & ~observed
-    deep = recent & (cv2.erode(wanted_u8, edge) > 0)
-    barren = deep & ~near_observed & ~memory.ever_seen(there)
+    later = recent & (layer_of > 0)  # the first layer covers so much at once that shares with it say nothing of the next
     look = cv2.blur(sight.frame_bgr[there], (3, 3))
+    # segmentation that expects matter may see it in a shadow: what has not changed at all has not come either
+    unchanged = memory.looks_unchanged(there, look, recent & observed)
+    deep = recent & (cv2.erode(wanted_u8, edge) > 0)
+    barren = unchanged | memory.looks_bare(there, look, deep & ~near_observed & ~memory.ever_seen(there))
+    barren &= deep
+    unseen = (unchanged & later) | memory.looks_bare(there, look, later & ~observed)
     hidden_px = np.count_nonzero(memory.looks_strange(there, look, lost))
     lost = without_specks(memory.looks_bare(there, look, lost))
-    stray = without_specks(memory.looks_new(there, look, stray))
-    unseen = memory.looks_bare(there, look, unseen)
-    barren &= unseen
-    scopes = _count(sight, window, wanted, observed, known, standing, lost, stray, recent, unseen, deep, barren)
+    if np.count_nonzero(lost) > HIDING_PX:
+        # what hides the print also hides some of the bed about it; the print that has gone does not
+        about = known & ~observed & ~near_wanted & (cv2.dilate(lost.astype(np.uint8), disc(AROUND_PX)) > 0)
+        changed_px = np.count_nonzero(memory.looks_new(there, look, about, HIDING_CHANGE, unknown=False))
+        hidden_px += np.count_nonzero(lost) + changed_px if changed_px > 0.5 * np.count_nonzero(about) else changed_px
+    stray = near_to(wanted_u8, without_specks(memory.looks_new(there, look, stray)), REACH_RATIO * wanted.shape[1])
+    rim = memory.looks_new(there, look, rim)
+    scopes = _count(sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren)
     return Findings(window, wanted, observed, standing, lost, stray, unseen, int(hidden_px), scopes)
 
 
 def _count(
     sight: Sight, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray, standing: np.ndarray,
-    lost: np.ndarray, stray: np.ndarray, recent: np.ndarray, unseen: np.ndarray, deep: np.ndarray, barren: np.ndarray,
+    lost: np.ndarray, stray: np.ndarray, rim: np.ndarray, later: np.ndarray, unseen: np.ndarray, deep: np.ndarray,
+    barren: np.ndarray,
 ) -> tuple[Evidence, ...]:  # fmt: skip
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
@@ -147,6 +168,7 @@ def _count(
         "standing_px": own(standing),
         "lost_px": own(lost),
         "stray_px": near(stray),
+        "rim_px": near(rim),
         "unseen_px": own(unseen),
         "deep_px": own(deep),
         "barren_px": own(barren),
@@ -154,7 +176,7 @@ def _count(
     }
     fresh = []
     for layers in WINDOWS:
-        new = recent & (age < layers)
+        new = later & (age < layers)
         fresh.append((own(new), own(new & ~unseen)))
     return tuple(
         Evidence(
@@ -191,6 +213,17 @@ def about_print(complete: np.ndarray) -> Window:
         slice(max(y - margin, rim), max(min(y + h + margin, height - rim), rim + 1)),
         slice(max(x - margin, rim), max(min(x + w + margin, width - rim), rim + 1)),
     )
+
+
+def near_to(wanted: np.ndarray, mask: np.ndarray, reach_px: float) -> np.ndarray:
+    """The mask's spots that come as near to the expected mask (uint8): what has to do with the print begins at it."""
+    if not mask.any() or not wanted.any():
+        return mask
+    near = cv2.distanceTransform(cv2.bitwise_not(wanted), cv2.DIST_L2, 3) < reach_px
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    keep = np.zeros(labels.max() + 1, bool)
+    keep[labels[near & mask]] = True
+    return keep[labels] & mask
 
 
 def disc(radius_px: float) -> np.ndarray:

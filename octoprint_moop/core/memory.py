@@ -6,11 +6,13 @@ import cv2
 import numpy as np
 
 MOST_MISFIT_PX = 6  # a calibration further off than this must be done again, not explained away
-SETTLING_CHECKS = 4  # so many good checks may move the misfit by more than a pixel
+SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from then on it only creeps,
+CREEPING_CHECKS = 12  # by a pixel in so many, as a print grows out of the height at which it was found
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
+UNCHANGED = 8.0  # the same within which a pixel looks as it did
 CHANGED = 18.0  # grey levels in any channel by which a pixel looks unlike another time
 
 Window = tuple  # (slice, slice): rows and columns
@@ -66,6 +68,11 @@ class Memory:
         like_bare = np.where(has_covered, from_bare < MUCH_NEARER * from_covered, from_bare < CHANGED)
         return _placed(where, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
 
+    def looks_unchanged(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """bool: of the pixels `where`, those that look just as they did without matter, which was never seen there."""
+        still = _apart(look[where].astype(np.float32), self._bare[there][where]) < UNCHANGED
+        return _placed(where, still & self._has_bare[there][where] & ~self._has_covered[there][where])
+
     def looks_strange(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
         now = look[where].astype(np.float32)
@@ -73,10 +80,15 @@ class Memory:
         known = self._has_bare[there][where] & self._has_covered[there][where]
         return _placed(where, known & (from_bare > 2 * CHANGED) & (from_covered > 2 * CHANGED))
 
-    def looks_new(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
-        """bool: of the pixels `where`, those of which the picture bears out that something lies there that did not."""
-        now = look[where].astype(np.float32)
-        return _placed(where, ~self._has_bare[there][where] | (_apart(now, self._bare[there][where]) > CHANGED))
+    def looks_new(
+        self, there: Window, look: np.ndarray, where: np.ndarray, change: float = CHANGED, unknown: bool = True
+    ) -> np.ndarray:
+        """bool: of the pixels `where`, those of which the picture bears out that something lies there that did not.
+
+        change : grey levels in any channel that make a difference; unknown : what to say where the bare bed's look is not known
+        """
+        apart = _apart(look[where].astype(np.float32), self._bare[there][where])
+        return _placed(where, np.where(self._has_bare[there][where], apart > change, unknown))
 
     def learn(
         self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray, ignored: np.ndarray
@@ -86,14 +98,16 @@ class Memory:
         window, wanted : of the expected mask, bool; frame_bgr, observed, ignored : the whole frame and its masks, uint8
         """
         self._checks += 1
-        self._refit(window, wanted, observed, ignored)
+        if self._checks % CREEPING_CHECKS == 0:
+            self._refit(window, wanted, observed, ignored, 1)
         there = self.moved(window)
         seen, sure = observed[there] > 0, ignored[there] == 0
+        look = cv2.blur(frame_bgr[there], (3, 3))
+        seen &= ~self.looks_unchanged(there, look, seen)
         matter, fresh = self._matter[there], wanted & seen & sure & ~self._has_covered[there]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
         cv2.accumulateWeighted(seen.astype(np.float32), matter, weight, sure.astype(np.uint8))
         matter[fresh] = 1.0
-        look = cv2.blur(frame_bgr[there], (3, 3))
         for kept, has, where in (
             (self._covered[there], self._has_covered[there], seen & sure),
             (self._bare[there], self._has_bare[there], ~seen & ~wanted & sure),
@@ -127,9 +141,16 @@ class Memory:
         for name in ("_has_covered", "_has_bare", "_given_up"):
             setattr(self, name, warp(getattr(self, name).astype(np.uint8)) > 0)
 
-    def _refit(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
-        """Climb to the offset at which the expected mask agrees best; later by a pixel at most, and only for much."""
-        for _ in range(MOST_MISFIT_PX if self._checks <= SETTLING_CHECKS else 1):
+    def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
+        """Before the first good checks: find the misfit anew, as far off as may be."""
+        if self._checks < SETTLING_CHECKS:
+            self._refit(window, wanted, observed, ignored, MOST_MISFIT_PX)
+
+    def _refit(
+        self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray, most_steps: int
+    ) -> None:
+        """Climb to the offset at which the expected mask agrees best, in steps of a pixel that each explain much."""
+        for _ in range(most_steps):
             best = here = self._disagreement(self.misfit_px, window, wanted, observed, ignored)
             if here < 20:
                 return
