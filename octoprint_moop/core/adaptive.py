@@ -145,10 +145,10 @@ def _distance(colours: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _region(expected: Expected | None, shape: tuple[int, int]) -> tuple[int, int, int, int]:
-    """The part of the view that is looked at: about the complete print, half its size around; all of it without one."""
+    """The part of the view that is looked at: the complete print and a third of its size around; all without one."""
     height, width = shape
     x, y, w, h = (0, 0, 0, 0) if expected is None else cv2.boundingRect(expected.complete)
     if not w:
         return (0, 0, width, height)
-    margin = max(w, h) // 2 + 32
+    margin = max(w, h) // 3 + 32
     return (max(x - margin, 0), max(y - margin, 0), min(x + w + margin, width), min(y + h + margin, height))

@@ -35,7 +35,9 @@ class Light:
         self._size_px = reference_bgr.shape[1::-1]
         self._work_px = (WORK_WIDTH_PX, max(1, WORK_WIDTH_PX * self._size_px[1] // self._size_px[0]))
         self._reference = self._small(reference_bgr)
-        covered = cv2.resize(cv2.dilate(exclude, np.ones((9, 9), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA)
+        covered = cv2.resize(
+            cv2.dilate(exclude, np.ones((9, 9), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA
+        )
         plain = (_least(self._reference) > DARK) & (_most(self._reference) < BRIGHT)
         self._background = (covered == 0) & plain
 
@@ -67,8 +69,8 @@ class Light:
         known = self._background & (_most(small) < BRIGHT)
         if known.mean() < MIN_BACKGROUND_RATIO:
             return np.ones(3, np.float32)
-        ratio = np.log(np.maximum(small[known], 1.0)) - np.log(np.maximum(self._reference[known], 1.0))
-        return np.exp(-np.median(ratio, axis=0)).astype(np.float32)
+        ratio = np.maximum(self._reference[known][::2], 1.0) / np.maximum(small[known][::2], 1.0)
+        return np.median(ratio, axis=0).astype(np.float32)
 
     def _small(self, frame_bgr: np.ndarray) -> np.ndarray:
         return cv2.resize(frame_bgr, self._work_px, interpolation=cv2.INTER_AREA).astype(np.float32)

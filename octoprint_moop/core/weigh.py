@@ -19,12 +19,12 @@ from .explain import explain
 from .segment import Observation
 
 # Pixels in the region beyond which the work is done at a half, a third, … of the size
-WORK_PX, WORK_SHARP_PX = 80_000, 210_000
+WORK_PX, WORK_SHARP_PX = 80_000, 310_000
 
 _EXPECTED_WEIGHT = 3.0  # log-odds given to the believed story well inside and well outside of it
 _EDGE_PX = 2  # the story's edge is this uncertain: the weight grows from 0 to full over it
 _WRONG_LOOK = -0.3  # support below which the learned colours are not what is seen in this frame
-_ALIKE, _APART = 0.7, 0.85  # separability: below, only neighbours together decide; above, each pixel by itself
+_ALIKE, _APART = 0.7, 0.82  # separability: below, only neighbours together decide; above, each pixel by itself
 # Evidence, after smoothing, that says neither: by the separability, since a chance difference of two alike says little
 _UNSURE = ((0.1, 0.4), (1.0, 0.25))
 _GUIDE_RADIUS_PX, _GUIDE_NOISE = 8, 0.01
