@@ -4,8 +4,12 @@ Importing this package imports nothing else: the plugin class is loaded when Oct
 and the command line run without OctoPrint and a broken native library cannot keep a server from starting.
 """
 
+from __future__ import annotations
+
 __plugin_name__ = "MOOP"
 __plugin_pythoncompat__ = ">=3.9,<4"
+__plugin_implementation__: object
+__plugin_hooks__: dict[str, object]
 
 
 def __plugin_load__() -> None:

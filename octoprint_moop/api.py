@@ -92,7 +92,7 @@ class MoopApi(BlueprintPlugin):
     def get_recording(self, name: str) -> Any:
         """One recording, packed; without its pictures where `?pictures=0`."""
         folder = self._recording(name)
-        packed = tempfile.TemporaryFile()
+        packed = tempfile.TemporaryFile()  # noqa: SIM115  sent after this returns
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as target:  # JPEG and gzip do not shrink again
             for path in sorted(folder.rglob("*")):
                 if path.is_file() and (path.suffix != ".jpg" or flask.request.args.get("pictures") != "0"):

@@ -54,7 +54,7 @@ class MoopSetupApi(BlueprintPlugin):
     def post_setup(self) -> Any:
         header, _ = self._bench_eye.ask("validate", timeout_s=QUICK_S, header=body())
         profile, webcam = self._setup_key()
-        parts = {name: header[name] for name in ("printer", "camera", "cameras") if name in header}
+        parts: dict[str, Any] = {name: header[name] for name in ("printer", "camera", "cameras") if name in header}
         changed = self._setups.put(profile, webcam, parts)
         material = header.get("material")
         if material is not None and material != self._material({}):

@@ -234,7 +234,8 @@ class MoopPlugin(
         user, repository = REPOSITORY
         return {
             self._identifier: {
-                "displayName": self._plugin_name, "displayVersion": self._plugin_version, "current": self._plugin_version,
+                "displayName": self._plugin_name, "displayVersion": self._plugin_version,
+                "current": self._plugin_version,
                 "type": "github_release", "user": user, "repo": repository,
                 "pip": f"https://github.com/{user}/{repository}/archive/{{target_version}}.zip",
             }

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, Callable, Mapping
+from typing import Any, Callable
 
 from .errors import SettingsError
 
@@ -40,7 +41,8 @@ class Settings:
     watch_prints: bool = switch(True, "Watch every print from its start.")
     on_failed: str = choice("pause", ACTIONS, "What to do when a print has failed.")
     segmentation: str = choice(
-        "adaptive", SEGMENTATIONS, "How filament is told from the rest: by what this print has shown, or by the colour limits alone."
+        "adaptive", SEGMENTATIONS,
+        "How filament is told from the rest: by what this print has shown, or by the colour limits alone.",
     )
     cool_after_min: float = number(
         0.0, 0.0, 1440.0, "min", "Turn the hot end off when a pause of ours lasts longer than this; 0 for never. "
@@ -65,13 +67,13 @@ class Settings:
     )
     settle_s: float = number(0.3, 0.0, 10.0, "s", "How long the printer stands still before the picture is taken.")
     settle_timeout_s: float = number(
-        120.0, 1.0, 600.0, "s", "How long to wait for the printer to finish its moves before the print goes on unchecked."
+        120.0, 1.0, 600.0, "s", "How long to wait for the printer's moves to end before the print goes on unchecked."
     )
     check_timeout_s: float = number(
         10.0, 1.0, 60.0, "s", "How long picture and check may take together before the print goes on unchecked."
     )
 
-    hue_min_deg: float = number(0.0, 0.0, 360.0, "°", "Lowest hue of the filament; above the highest, it wraps through 0.")
+    hue_min_deg: float = number(0.0, 0.0, 360.0, "°", "Lowest hue of the filament; above the highest, through 0.")
     hue_max_deg: float = number(360.0, 0.0, 360.0, "°", "Highest hue of the filament.")
     saturation_min: float = number(0.35, 0.0, 1.0, "", "Less saturated than this is not filament.")
     value_min: float = number(0.2, 0.0, 1.0, "", "Darker than this is not filament.")
@@ -83,7 +85,7 @@ class Settings:
     )
 
     record: bool = switch(True, "Keep a recording of each watched print.")
-    recordings_mb: int = number(1000, 10, 1_000_000, "MB", "Disk space for recordings; the oldest go first, alarms last.")
+    recordings_mb: int = number(1000, 10, 1_000_000, "MB", "Room for recordings; the oldest go first, alarms last.")
 
 
 DEFAULTS: dict[str, Any] = {f.name: f.default for f in fields(Settings)}

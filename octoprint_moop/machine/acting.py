@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import Any, Protocol, Sequence
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 log = logging.getLogger("octoprint.plugins.moop.acting")
 
@@ -81,7 +82,8 @@ class Actor:
         cooled, self._cooled = self._cooled, {}
         only = len(cooled) == 1 and "tool0" in cooled
         return [
-            f"M109 S{target:g}" if only else f"M109 T{heater[4:]} S{target:g}" for heater, target in sorted(cooled.items())
+            f"M109 S{target:g}" if only else f"M109 T{heater[4:]} S{target:g}"
+            for heater, target in sorted(cooled.items())
         ]
 
     def _cool(self) -> None:

@@ -52,7 +52,7 @@ class Eye:
         self._renderer: GlRenderer | CvRenderer | None = None
 
     def index(self, blobs: list[bytes], job: str, cache: str) -> Answer:
-        """Get ready for a G-code file that will probably be printed, so that `open` is quick. Answers layers, renderer."""
+        """Get ready for a G-code file that will probably be printed, so that `open` is quick: layers, renderer."""
         return {"layers": read_gcode(Path(job), cache_dir=Path(cache)).layers, "renderer": self._draw().name}, []
 
     def open(
@@ -72,10 +72,11 @@ class Eye:
         blobs     : the empty bed's picture, JPEG, or nothing
         keep_as   : where to put a packed copy of the job, for the recording
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
-        Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, modes (at each end), notes,
-        renderer.
+        Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, modes (at
+        each end), notes, renderer.
         """
         toolpath = read_gcode(Path(job), cache_dir=Path(cache))
+        ends = toolpath.layer_end_pos.tolist()
         if keep_as and not Path(keep_as).exists():
             _pack(Path(job), Path(keep_as))
         reference = decode(blobs[0]) if blobs else None
@@ -86,11 +87,11 @@ class Eye:
             self._learn_again(Recording.open(recording))
         return {
             "layers": toolpath.layers,
-            "ends": toolpath.layer_end_pos.tolist(),
+            "ends": ends,
             "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
             "cancel_commands": list(toolpath.cancel_commands),
-            "modes": [modes.to_json() for modes in read_modes(_as_octoprint_counts(Path(job)), toolpath.layer_end_pos)],
+            "modes": [modes.to_json() for modes in read_modes(_as_octoprint_counts(Path(job)), ends)],
             "notes": list(toolpath.notes),
             "renderer": self._draw().name,
         }, []
@@ -111,7 +112,8 @@ class Eye:
 
     def _draw(self) -> GlRenderer | CvRenderer:
         if self._renderer is None:
-            self._renderer = self._renderer_stack.enter_context(open_renderer())
+            self._renderer = open_renderer()
+            self._renderer_stack.enter_context(self._renderer)
         return self._renderer
 
     def _opened(self) -> Inspector:

@@ -14,8 +14,9 @@ import math
 import re
 import threading
 import time
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Callable, Collection, Protocol, Sequence
+from typing import Any, Callable, Protocol
 
 log = logging.getLogger("octoprint.plugins.moop.holds")
 
@@ -96,7 +97,9 @@ class Holds:
 
     # --- for the watching thread ----------------------------------------------------------------------------------
 
-    def plan(self, ends: Sequence[int], every_layers: int = 1, after_pos: float = -1, not_before_s: float = 0.0) -> None:
+    def plan(
+        self, ends: Sequence[int], every_layers: int = 1, after_pos: float = -1, not_before_s: float = 0.0
+    ) -> None:
         """Hold at the end of every so many layers, from `after_pos` on, not before `not_before_s` (monotonic).
 
         every_layers : 0 to hold at the slicer's marks only

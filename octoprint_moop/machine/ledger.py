@@ -17,8 +17,8 @@ Tell = Callable[[str, dict[str, Any]], None]
 
 
 class Ledger:
-    """tell : called with (kind, payload) for `status` at each change, `check` for each check, `blind` for each new reason
-    why nothing is checked, and with the verdict for those that are not ok"""
+    """tell : called with (kind, payload) for `status` at each change, `check` for each check, `blind` for each new
+    reason why nothing is checked, and with the verdict for those that are not ok"""
 
     def __init__(self, tell: Tell, version: str) -> None:
         self._tell = tell
@@ -59,8 +59,9 @@ class Ledger:
     def begin(self, job: str, blind: str) -> None:
         self._checks, self._pictures, self._checked_s = (), OrderedDict(), time.monotonic()
         self.note(
-            blind=blind, job=job, layer=None, layers=None, checks=0, last_check=None, action="none", reason="", held_s=0.0
-        )
+            blind=blind, job=job, layer=None, layers=None, checks=0, last_check=None, action="none", reason="",
+            held_s=0.0,
+        )  # fmt: skip
 
     def note(self, **changes: Any) -> None:
         """Change some of the status, and tell."""
@@ -84,7 +85,7 @@ class Ledger:
             self._pictures.popitem(last=False)
         blind = check["reason"] if check["verdict"] in ("unusable", "camera_moved") else None
         if check["total_px"] == 0:
-            blind = "Nothing of the print is in view: it lies outside the picture, or behind the print head. Park the head."
+            blind = "Nothing of the print is in view: it is out of the picture, or the head hides it. Park the head."
         self.note(
             blind=blind, checks=len(self._checks), last_check=check,
             held_s=round(self._status["held_s"] + held_s, 3),

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Sequence
+from typing import Any
 
 _WORDS = re.compile(
-    rb"^[ \t]*(?:N\d+[ \t]*)?(?:(G9[01]|M8[23]|G2[01])(?![\d.])|G[0-3][ \t][^;\n]*?F[ \t]*(\d+(?:\.\d*)?))", re.MULTILINE
+    rb"^[ \t]*(?:N\d+[ \t]*)?(?:(G9[01]|M8[23]|G2[01])(?![\d.])|G[0-3][ \t][^;\n]*?F[ \t]*(\d+(?:\.\d*)?))",
+    re.MULTILINE,
 )
 
 

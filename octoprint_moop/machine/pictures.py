@@ -7,7 +7,6 @@ import numpy as np
 
 from ..core.errors import FrameError
 
-
 MOST_PX = 30_000_000
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Any, BinaryIO, Sequence
+from collections.abc import Sequence
+from typing import IO, Any, Sequence
 
 _LENGTH = struct.Struct(">I")
 MAX_BYTES = 256 * 1024 * 1024
 
 
-def send(stream: BinaryIO, head: dict[str, Any], blobs: Sequence[bytes] = ()) -> None:
+def send(stream: IO[bytes], head: dict[str, Any], blobs: Sequence[bytes] = ()) -> None:
     """Write one message whole. Raises OSError where nobody reads any more, ValueError on numbers JSON does not have."""
     text = json.dumps({**head, "blobs": [len(blob) for blob in blobs]}, allow_nan=False).encode()
     stream.write(_LENGTH.pack(len(text)) + text)
@@ -19,7 +20,7 @@ def send(stream: BinaryIO, head: dict[str, Any], blobs: Sequence[bytes] = ()) ->
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[bytes]]:
+def receive(stream: IO[bytes]) -> tuple[dict[str, Any], list[bytes]]:
     """The next message. Raises EOFError where the other side has gone, or sent what is not a message."""
     (length,) = _LENGTH.unpack(_exactly(stream, _LENGTH.size))
     try:
@@ -30,7 +31,7 @@ def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[bytes]]:
     return head, [_exactly(stream, size) for size in sizes]
 
 
-def _exactly(stream: BinaryIO, count: int) -> bytes:
+def _exactly(stream: IO[bytes], count: int) -> bytes:
     if not 0 <= count <= MAX_BYTES:
         raise EOFError(f"a message of {count} bytes")
     parts, missing = [], count

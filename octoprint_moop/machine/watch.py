@@ -390,7 +390,7 @@ class Watch:
         self.holds.plan(current.ends, every_layers, current.last_pos, not_before_s)
 
     def _tick(self) -> None:
-        """What nobody else thinks of: things that the hooks noticed but had no time to say, and things that do not come."""
+        """What nobody else thinks of: what the hooks noticed but had no time to say, and what does not come at all."""
         current, settings = self._print, self._settings
         if current is None:
             if time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:

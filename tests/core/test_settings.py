@@ -37,7 +37,7 @@ def test_a_number_out_of_its_range_is_refused_by_name_and_range(value):
 
 
 def test_a_choice_that_does_not_exist_is_refused_with_those_that_do():
-    with pytest.raises(SettingsError, match="'explode'.*notify, pause"):
+    with pytest.raises(SettingsError, match=r"'explode'.*notify, pause"):
         read_value("on_failed", "explode")
 
 

@@ -156,7 +156,8 @@ class Room:
     def __init__(self, folder: Path, python: str, settings: dict[str, Any] | None = None) -> None:
         self.folder = folder
         self.webcam = PaintedWebcam()
-        moop = {"settle_s": 0.0, "settle_timeout_s": 5.0, "check_timeout_s": 4.0, "_config_version": 1, **(settings or {})}
+        moop = {"_config_version": 1, "settle_s": 0.0, "settle_timeout_s": 5.0, "check_timeout_s": 4.0}
+        moop.update(settings or {})
         self.server = DemoServer(
             folder / "server", octoprint_python=python, snapshot_url=self.webcam.url,
             plugins={"spy": Path(__file__).with_name("spy.py")},

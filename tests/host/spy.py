@@ -8,7 +8,8 @@ import octoprint.plugin
 
 class Spy(octoprint.plugin.SimpleApiPlugin):
     def initialize(self):
-        self._sent = open(os.path.join(self.get_plugin_data_folder(), "sent.jsonl"), "a", buffering=1)
+        path = os.path.join(self.get_plugin_data_folder(), "sent.jsonl")
+        self._sent = open(path, "a", buffering=1)  # noqa: SIM115  open for as long as the server runs
 
     def on_sent(self, comm, phase, cmd, cmd_type, gcode, subcode=None, tags=None, *args, **kwargs):
         self._sent.write(json.dumps([cmd, sorted(tags or ())]) + "\n")

@@ -16,6 +16,7 @@ from octoprint_moop.machine.recording import Recording
 
 from .room import box_gcode, header
 
+
 def routes() -> list[tuple[str, str]]:
     """Every route that the plugin has, with something put in for its variables."""
     found = []

@@ -10,8 +10,9 @@ from .room import box_gcode
 @pytest.fixture
 def saved(room):
     """Save settings for one test."""
-    before = {name: room.server.api("GET", "/api/settings")["plugins"]["moop"][name] for name in (
-        "capture", "on_failed", "longest_s", "every_layers", "cool_after_min", "min_interval_s", "watch_prints")}  # fmt: skip
+    now = room.server.api("GET", "/api/settings")["plugins"]["moop"]
+    names = ("capture", "on_failed", "longest_s", "every_layers", "cool_after_min", "min_interval_s", "watch_prints")
+    before = {name: now[name] for name in names}
     yield room.save
     room.save(**before)
 

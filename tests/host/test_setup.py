@@ -40,7 +40,8 @@ def test_the_cameras_place_is_found_from_clicked_points(room):
 
 
 def test_the_lens_is_found_from_pictures_of_a_checkerboard(room):
-    board = cv2.cvtColor(np.kron(np.indices((7, 10)).sum(0) % 2, np.ones((60, 60))).astype(np.uint8) * 255, cv2.COLOR_GRAY2BGR)
+    squares = np.kron(np.indices((7, 10)).sum(0) % 2, np.ones((60, 60))).astype(np.uint8) * 255
+    board = cv2.cvtColor(squares, cv2.COLOR_GRAY2BGR)
     board = cv2.copyMakeBorder(board, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=(255, 255, 255))
     truth = camera().undistorted()
     rng = np.random.default_rng(3)

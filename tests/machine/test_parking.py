@@ -9,7 +9,8 @@ class Firmware:
     """A firmware that knows nothing but moves. g90_counts: G90 and G91 change the filament's mode, too."""
 
     def __init__(self, g90_counts: bool) -> None:
-        self.at, self.feed, self.relative, self.relative_e, self.g90_counts = dict.fromkeys("XYZE", 0.0), 0.0, False, False, g90_counts
+        self.at, self.feed = dict.fromkeys("XYZE", 0.0), 0.0
+        self.relative, self.relative_e, self.g90_counts = False, False, g90_counts
 
     def do(self, commands):
         for command in commands:
@@ -38,7 +39,7 @@ FILES = {
     "absolute filament": ["G90", "M82", "G1 X10 Y20 Z0.4 F9000", "G1 X30 E12.5 F1800"],
     "nothing said": ["G1 X10 Y20 Z0.4 F9000", "G1 X30 E12.5 F1800"],
     "a hop between": ["G90", "M83", "G1 X10 Y20 Z0.4 F9000", "G91", "G1 Z0.2", "G90", "M83", "G1 X30 E0.5 F1800"],
-    "a hop that leaves the filament in doubt": ["G90", "M83", "G1 X10 Z0.4 F9000", "G91", "G1 Z0.2", "G90", "G1 X30 F1800"],
+    "a hop that leaves the filament in doubt": ["M83", "G1 X1 Z0.4 F9000", "G91", "G1 Z0.2", "G90", "G1 X3 F1800"],
 }
 
 

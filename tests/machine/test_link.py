@@ -1,0 +1,116 @@
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from octoprint_moop.core.errors import CameraError, FrameError
+from octoprint_moop.machine.link import EyeGone, EyeLink, Interrupted
+
+
+@pytest.fixture
+def eye():
+    link = EyeLink("tests.machine.eyes")
+    yield link
+    link.close()
+
+
+def test_arguments_and_bytes_come_back_as_they_went(eye):
+    blobs = [bytes(range(256)) * 4000, b"", b"\n"]
+    assert eye.ask("echo", *blobs, timeout_s=10, a=1, b=["ü"]) == ({"a": 1, "b": ["ü"]}, blobs)
+
+
+def test_what_the_eye_refuses_is_the_same_error_here(eye):
+    with pytest.raises(CameraError, match=r"No such lens\."):
+        eye.ask("refuse", timeout_s=10)
+    assert eye.ask("echo", timeout_s=10, x=1)[0] == {"x": 1}
+
+
+def test_a_death_is_told_with_its_status_and_the_next_question_starts_another(eye):
+    eye.ask("echo", timeout_s=10)
+    with pytest.raises(EyeGone, match="status 3"):
+        eye.ask("die", timeout_s=10)
+    assert eye.ask("echo", timeout_s=10, x=2)[0] == {"x": 2}
+    assert eye.births == 2
+
+
+def test_an_eye_that_hangs_is_ended_in_time_even_while_a_large_picture_is_handed_over(eye):
+    eye.ask("echo", timeout_s=10)
+    first = eye.pid
+    began_s = time.monotonic()
+
+    def hang() -> None:
+        with contextlib.suppress(EyeGone):
+            eye.ask("hang", timeout_s=30)
+
+    threading.Thread(target=hang).start()
+    with pytest.raises(EyeGone, match="longer than"):
+        eye.ask("echo", bytes(20_000_000), timeout_s=1)
+    assert time.monotonic() - began_s < 10
+    assert eye.ask("echo", timeout_s=10, x=3)[0] == {"x": 3}
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
+
+
+def test_an_answer_that_nobody_waits_for_any_more_is_dropped(eye):
+    eye.ask("echo", timeout_s=10)
+    interrupted = threading.Event()
+    threading.Timer(0.2, interrupted.set).start()
+    with pytest.raises(Interrupted):
+        eye.ask("sleep", timeout_s=10, interrupted=interrupted, s=1.0)
+    assert eye.ask("echo", timeout_s=10, x=4)[0] == {"x": 4}
+    assert eye.births == 1
+
+
+def test_babble_in_place_of_an_answer_ends_the_eye(eye):
+    with pytest.raises(EyeGone):
+        eye.ask("babble", timeout_s=10)
+
+
+def test_a_library_that_cannot_be_loaded_is_named(eye, monkeypatch):
+    monkeypatch.setenv("EYE", "broken")
+    with pytest.raises(EyeGone, match=r"libGL\.so\.1: cannot open"):
+        eye.ask("echo", timeout_s=10)
+
+
+def test_questions_of_several_threads_do_not_mix(eye):
+    wrong = []
+
+    def ask(n: int) -> None:
+        for k in range(20):
+            if eye.ask("echo", str(n).encode(), timeout_s=30, n=n, k=k) != ({"n": n, "k": k}, [str(n).encode()]):
+                wrong.append(n)
+
+    threads = [threading.Thread(target=ask, args=(n,)) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_the_real_eye_answers_and_survives_what_it_cannot_read():
+    link = EyeLink()
+    try:
+        with pytest.raises(FrameError):
+            link.ask("segment", b"\xff\xd8 not a picture \xff\xd9", timeout_s=60,
+                     material={"hue_deg": [0, 360], "saturation_min": 0.3, "value_min": 0.2})  # fmt: skip
+        born = link.births
+        with pytest.raises(Exception, match="No print is being watched"):
+            link.ask("pictures", timeout_s=60)
+        assert link.births == born
+    finally:
+        link.close()
+
+
+def test_the_server_loads_no_library_that_only_the_eye_needs():
+    pytest.importorskip("octoprint")
+    code = (
+        "import sys, octoprint_moop.plugin; "
+        "print([name for name in ('cv2', 'numpy', 'trimesh', 'moderngl') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip().splitlines()[-1:] == ["[]"], done.stderr
