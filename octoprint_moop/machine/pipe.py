@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
-from typing import IO, Any, Sequence
+from typing import IO, Any
 
 _LENGTH = struct.Struct(">I")
 MAX_BYTES = 256 * 1024 * 1024
