@@ -137,3 +137,24 @@ def test_three_clicks_each_teach_as_much_as_a_label_where_colours_differ():
 def test_clicks_outside_of_the_picture_are_refused():
     with pytest.raises(SegmentationError, match="outside"):
         learn_from_clicks(scene(40)[0], [(400, 3)], [(3, 3)])
+
+
+@pytest.mark.parametrize("colour", ["Black", "White"])
+def test_photographed_prints_of_the_hardest_colours_are_found_from_one_label(shared, colour):
+    """The figures over all prints and expectations are in docs/segmentation.md."""
+    folders = sorted((shared / "data" / "real-frames").glob(f"*{colour}*"))
+    if not folders:
+        pytest.skip("no photographs there")
+    alone, with_expected = [], []
+    for folder in folders:
+        files = sorted(folder.glob("*.jpg"))
+        frames = [cv2.imread(str(file)) for file in files]
+        truths = [cv2.imread(str(file.with_suffix(".mask.png")), cv2.IMREAD_GRAYSCALE) for file in files]
+        x, y, w, h = cv2.boundingRect(np.maximum.reduce(truths))
+        box = (x - 10, y - 10, x + w + 10, y + h + 10)
+        learned = learn_from_label(frames[5], truths[5], box)
+        for i in (0, 1, 2, 3, 4, 6, 7, 8, 9):
+            alone.append(iou(learned.segment(frames[i]).mask, truths[i]))
+            nearly = np.roll(truths[i], (1, -2), axis=(0, 1))
+            with_expected.append(iou(learned.segment(frames[i], nearly).mask, truths[i]))
+    assert np.median(alone) > 0.75 and np.median(with_expected) > 0.85
