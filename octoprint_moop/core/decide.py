@@ -72,6 +72,9 @@ class Outcome:
     def leading(self) -> Surprise:
         return self.surprises[0]
 
+    def size(self, kind: str) -> float:
+        return next(surprise.size for surprise in self.surprises if surprise.kind == kind)
+
 
 def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surprise, ...]:
     """How far each figure lies above what this print has shown, largest first. Pure."""
@@ -134,6 +137,24 @@ def judge(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Outcome, 
     else:
         verdict = OK
     return Outcome(evidence.object_id, verdict, found, cusum), replace(track, cusum=cusum)
+
+
+def blame(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Name only whose failure it is: what has come off one object, or was not laid on it, may lie beside another."""
+    sources = {
+        outcome.object_id
+        for outcome in outcomes
+        if outcome.object_id >= 0 and outcome.verdict == FAILED and max(outcome.size("lost"), outcome.size("fresh")) >= 1
+    }
+    return [
+        replace(outcome, verdict=SUSPECT)
+        if sources - {outcome.object_id}
+        and outcome.object_id >= 0
+        and outcome.verdict == FAILED
+        and max(outcome.size("lost"), outcome.size("fresh")) < 1
+        else outcome
+        for outcome in outcomes
+    ]
 
 
 def learn(track: Track, evidence: Evidence) -> Track:

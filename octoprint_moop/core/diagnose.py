@@ -20,7 +20,7 @@ from .evidence import WHOLE, WINDOWS, Findings, Sight, disc
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
 
-GONE_RATIO = 0.5  # of the standing matter lost: it stands there no more
+GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays bare
 OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart

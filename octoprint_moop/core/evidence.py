@@ -139,17 +139,30 @@ def find(sight: Sight, memory: Memory) -> Findings:
     barren = unchanged | memory.looks_bare(there, look, deep & ~near_observed & ~memory.ever_seen(there))
     barren &= deep
     unseen = (unchanged & later) | memory.looks_bare(there, look, later & ~observed)
-    hidden_px = np.count_nonzero(memory.looks_strange(there, look, lost))
-    lost = without_specks(memory.looks_bare(there, look, lost))
-    if np.count_nonzero(lost) > HIDING_PX:
-        # what hides the print also hides some of the bed about it; the print that has gone does not
-        about = known & ~observed & ~near_wanted & (cv2.dilate(lost.astype(np.uint8), disc(AROUND_PX)) > 0)
-        changed_px = np.count_nonzero(memory.looks_new(there, look, about, HIDING_CHANGE, unknown=False))
-        hidden_px += np.count_nonzero(lost) + changed_px if changed_px > 0.5 * np.count_nonzero(about) else changed_px
     stray = near_to(wanted_u8, without_specks(memory.looks_new(there, look, stray)), REACH_RATIO * wanted.shape[1])
+    hidden_px = _hidden_px(memory, there, look, lost, stray, known & ~observed & ~near_wanted)
+    lost = without_specks(memory.looks_bare(there, look, lost))
     rim = memory.looks_new(there, look, rim)
     scopes = _count(sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren)
-    return Findings(window, wanted, observed, standing, lost, stray, unseen, int(hidden_px), scopes)
+    return Findings(window, wanted, observed, standing, lost, stray, unseen, hidden_px, scopes)
+
+
+def _hidden_px(
+    memory: Memory, there: Window, look: np.ndarray, gone: np.ndarray, stray: np.ndarray, bed: np.ndarray
+) -> int:
+    """How much of the matter that is seen no more has probably only been hidden.
+
+    What hides the print looks like neither print nor bed, and hides some of the bed about it; but where the print has
+    come off, matter lies where it did not, whatever its shadow does to the bed.
+    """
+    gone_px = np.count_nonzero(gone)
+    if gone_px < HIDING_PX or np.count_nonzero(stray) > 0.15 * gone_px:
+        return 0
+    about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
+    changed = memory.looks_new(there, look, about, HIDING_CHANGE, unknown=False)
+    if np.count_nonzero(changed) > 0.5 * np.count_nonzero(about):
+        return gone_px
+    return int(np.count_nonzero(memory.looks_strange(there, look, gone)))
 
 
 def _count(

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from .compare import Comparison, compare
-from .decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Outcome, Track, accept, judge, learn, pardon
+from .decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Outcome, Track, accept, blame, judge, learn, pardon
 from .diagnose import Diagnosis, diagnose
 from .errors import FrameError, SegmentationError
 from .evidence import Findings, Sight, find
@@ -180,7 +180,7 @@ class Inspector:
         tolerance_px = TOLERANCE_PX * max(1.0, observed.shape[1] / 640)
         sight = Sight(frame_bgr, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
         findings = find(sight, memory)
-        if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, findings.whole.lost_px):
+        if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return Check(moment, UNUSABLE, comparison, reason=HIDDEN)
         self._last = (view, moment, sight, findings)
         outcomes = []
@@ -188,6 +188,7 @@ class Inspector:
             track = self._tracks.get(evidence.object_id, Track())
             outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._settings.sensitivity)
             outcomes.append(outcome)
+        outcomes = blame(outcomes)
         worst = max(outcomes, key=_weight)
         self._failed_scopes |= {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
         if worst.verdict == OK:
