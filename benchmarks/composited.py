@@ -15,7 +15,7 @@ import numpy as np
 
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.gcode import read_gcode
-from octoprint_moop.core.header import Moment
+from octoprint_moop.core.header import Header, Moment
 from octoprint_moop.core.toolpath import Role, Toolpath
 from octoprint_moop.machine.recording import Recording
 
@@ -101,6 +101,8 @@ class Story:
         labelled = len(self.base.toolpath.objects)
         if self.fault and self.object_id is None and labelled > 1 and self.fault != "layer_shift" and rng.random() < 0.9:
             self.object_id = int(rng.integers(labelled))
+        if self.onset > 22 and self.seed % 4:  # most faults come early, so that runs are short
+            self.onset = 3 + self.onset % 20
         self.from_layer = int(rng.integers(1, max(2, count - 4)))
         if self.fault:
             toolpath, moment = self.base.toolpath, self.base.moments[-1]
@@ -115,6 +117,40 @@ class Story:
 
     def __len__(self) -> int:
         return len(self.base.moments)
+
+    @property
+    def name(self) -> str:
+        return self.base.name
+
+    @property
+    def header(self) -> Header:
+        return self.base.recording.header
+
+    @property
+    def toolpath(self) -> Toolpath:
+        return self.base.toolpath
+
+    @property
+    def reference(self) -> np.ndarray:
+        return self.base.reference
+
+    @property
+    def object_name(self) -> str | None:
+        return None if self.object_id is None else self.toolpath.objects[self.object_id]
+
+    def moment(self, number: int) -> Moment:
+        return self.base.moments[number]
+
+    def clean_mask(self, number: int) -> np.ndarray:
+        return self.base.masks[number]
+
+    def total_px(self, number: int) -> int:
+        return int(self.base.totals[number])
+
+    def finished(self, number: int) -> np.ndarray:
+        """The same layer of a print that went well: the untouched picture with another exposure's noise."""
+        noise = np.random.default_rng([self.seed, 7, number]).normal(0, 3.0, self.base.frames[number].shape)
+        return np.clip(self.base.frames[number] + noise, 0, 255).astype(np.uint8)
 
     def picture(self, number: int) -> Picture:
         """The number-th frame of the run."""
