@@ -11,6 +11,7 @@ from octoprint.access import ADMIN_GROUP, READONLY_GROUP, USER_GROUP
 from octoprint.events import Events
 
 from .api import MoopApi
+from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
 from .core.errors import SettingsError
 from .core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
@@ -25,6 +26,7 @@ REPOSITORY = ("moop3d", "OctoPrint-MOOP")
 
 class MoopPlugin(
     MoopApi,
+    MoopPastApi,
     MoopSetupApi,
     octoprint.plugin.StartupPlugin,
     octoprint.plugin.ShutdownPlugin,

@@ -108,7 +108,39 @@ def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) 
     return {"lines": [line.to_json() for line in lines]}, []
 
 
+def replay(blobs: list[bytes], recording: str, material: dict[str, Any], settings: dict[str, Any], masks: str) -> Answer:
+    """What would have been concluded from a recording with these settings and this filament: checks and a summary.
+
+    masks : a folder for the masks of each check: 12.seen.png, 12.expected.png, 12.ignored.png
+    """
+    from dataclasses import replace
+    from pathlib import Path
+
+    from ..core.gcode import read_gcode
+    from ..core.inspection import Inspector, Summary
+    from ..core.settings import read_settings
+    from .recording import Recording
+    from .renderers import open_renderer
+
+    opened = Recording.open(recording)
+    header = replace(opened.header, material=HsvThresholds.from_json(material))
+    checks = []
+    with opened.job_path() as path:
+        toolpath = read_gcode(path)
+    with open_renderer() as renderer:
+        inspector = Inspector(header, toolpath, renderer, read_settings(settings), opened.reference())
+        for number, moment in enumerate(opened.moments):
+            inspector.pictures = None
+            checks.append(inspector.check(opened.frame(moment), moment))
+            if inspector.pictures is not None:
+                pictures = inspector.pictures
+                for kind, mask in (("seen", pictures.observed), ("expected", pictures.expected), ("ignored", pictures.ignored)):
+                    Path(masks, f"{number}.{kind}.png").write_bytes(encode_mask(mask))
+    lines = [{**check.to_json(), "id": number} for number, check in enumerate(checks)]
+    return {"checks": lines, "summary": Summary.of(checks).to_json()}, []
+
+
 QUESTIONS = {
     question.__name__: question
-    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides)
+    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides, replay)
 }
