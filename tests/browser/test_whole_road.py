@@ -9,7 +9,7 @@ import pytest
 
 from octoprint_moop.demo.run import Demo
 
-from .stage import OCTOPRINT, log_in
+from .stage import OCTOPRINT, log_in, serious_violations
 
 FAULT_LAYER = 12
 
@@ -66,3 +66,39 @@ def test_a_print_that_comes_loose_is_seen_told_resumed_and_ends(tab: Any, demo: 
     wait_for_text(tab, "state-text", "No print is running", 30)
     recordings = demo.server.api("GET", "/plugin/moop/recordings")["recordings"]
     assert len(recordings) == 1
+
+
+def test_the_past_print_can_be_opened_and_tried_with_other_settings(tab: Any, demo: Demo) -> None:
+    tab.click("[data-test-id=moop-page-past]")
+    tab.wait_for_selector("[data-test-id=moop-recordings] tbody tr")
+    listed = tab.inner_text("[data-test-id=moop-recordings]")
+    assert "tug-and-bracket" in listed and " at layer " in listed
+    tab.click("[data-test-id=moop-past-open]")
+    tab.wait_for_selector("[data-test-id=moop-past-check]:has-text('Layer')")
+    tab.select_option("[data-test-id=moop-past-sensitivity]", "low")
+    tab.click("[data-test-id=moop-past-replay]")
+    tab.wait_for_selector("[data-test-id=moop-past-outcome]:has-text('With these settings')", timeout=120_000)
+    told = tab.inner_text("[data-test-id=moop-past-outcome]")
+    assert "During the print: a failure at layer" in told
+    tab.wait_for_function("ko.dataFor(document.getElementById('moop_past')).hasMasks()")
+    assert tab.evaluate("ko.dataFor(document.getElementById('moop_past')).picture.classes.some(value => value === 1)")
+    with tab.expect_response(lambda answer: answer.url.endswith("/api/settings") and answer.request.method == "POST"):
+        tab.click("[data-test-id=moop-past-use]")
+    assert demo.server.api("GET", "/api/settings")["plugins"]["moop"]["sensitivity"] == "low"
+
+
+def test_axe_finds_nothing_serious_in_past_prints(tab: Any, axe: str) -> None:
+    tab.click("[data-test-id=moop-page-past]")
+    tab.click("[data-test-id=moop-past-open]")
+    tab.wait_for_selector("[data-test-id=moop-past-check]:has-text('Layer')")
+    assert serious_violations(tab, axe, "#tab_plugin_moop") == []
+
+
+def test_a_past_print_is_deleted_only_after_a_question(tab: Any, demo: Demo) -> None:
+    tab.click("[data-test-id=moop-page-past]")
+    tab.click("[data-test-id=moop-past-delete]")
+    dialog = tab.wait_for_selector(".modal:visible:has-text('Delete this recording?')")
+    assert len(demo.server.api("GET", "/plugin/moop/recordings")["recordings"]) == 1
+    dialog.query_selector(".btn-danger").click()
+    tab.wait_for_selector("text=Nothing is recorded yet.")
+    assert demo.server.api("GET", "/plugin/moop/recordings")["recordings"] == []

@@ -63,6 +63,20 @@
         return this.base.postJson(this.route("setup"), header, opts);
     };
 
+    /* {checks} of a past print, as they were found live. */
+    MoopClient.prototype.pastChecks = function (name, opts) {
+        return this.base.get(this.route("recordings", name, "checks"), opts);
+    };
+
+    MoopClient.prototype.pastPictureUrl = function (name, checkId, kind, run) {
+        return this.address("recordings", name, "pictures", checkId, PICTURES[kind]) + "?run=" + run;
+    };
+
+    /* {checks, summary}: what would have happened with these settings (by name; others as they are). */
+    MoopClient.prototype.replay = function (name, settings, opts) {
+        return this.base.postJson(this.route("recordings", name, "replay"), settings, opts);
+    };
+
     // --- the set-up ---------------------------------------------------------------------------------------------
 
     /* The printer's geometry as OctoPrint's profile has it: {printer}. */

@@ -200,6 +200,38 @@
         };
     }
 
+    /* The time that a recording's name begins with, as people write it; "" where it has none. */
+    function recordingTime(name) {
+        const found = /^(\d{4})-?(\d\d)-?(\d\d)[-_T]?(\d\d)-?(\d\d)/.exec(name);
+        return found ? found[1] + "-" + found[2] + "-" + found[3] + " " + found[4] + ":" + found[5] : "";
+    }
+
+    /* How a recorded print went, from its entry in the list. */
+    function pastVerdict(recording) {
+        if (!recording.checks) {
+            return say("not checked");
+        }
+        if (recording.verdict === "failed") {
+            return say("%(mode)s at layer %(layer)s", {mode: mode(recording), layer: layerNumber(recording.layer)});
+        }
+        return say("%(n)s checks, no failure", {n: recording.checks});
+    }
+
+    /* What a replay would have done, beside what was done live. */
+    function replayed(live, summary) {
+        const told = function (layer) {
+            return layer === null || layer === undefined
+                ? say("no failure")
+                : say("a failure at layer %(layer)s", {layer: layerNumber(layer)});
+        };
+        const before = live.filter(function (check) { return check.verdict === "failed"; })[0];
+        return say("With these settings: %(now)s in %(n)s checks. During the print: %(before)s.", {
+            now: told(summary.first_failed_layer),
+            n: summary.checks,
+            before: told(before ? before.layer : null)
+        });
+    }
+
     /* The sentence in a refused request: the server's own where it sent one. */
     function refusal(request) {
         let message = "";
@@ -232,6 +264,9 @@
         state: state,
         sinceLayer: sinceLayer,
         failure: failure,
+        recordingTime: recordingTime,
+        pastVerdict: pastVerdict,
+        replayed: replayed,
         refusal: refusal
     };
 

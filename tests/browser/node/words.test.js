@@ -87,3 +87,16 @@ test("a refusal is told in the server's own words where it sent some", () => {
     assert.match(words.refusal({status: 403, responseText: "<html>"}), /permission/);
     assert.match(words.refusal({status: 0}), /does not answer/);
 });
+
+test("a recording's name tells when the print began", () => {
+    assert.strictEqual(words.recordingTime("20261122-031502-tug"), "2026-11-22 03:15");
+    assert.strictEqual(words.recordingTime("tug"), "");
+});
+
+test("a replay is told beside what happened", () => {
+    const live = [{layer: 3, verdict: "ok"}, {layer: 4, verdict: "failed"}];
+    assert.strictEqual(
+        words.replayed(live, {first_failed_layer: null, checks: 2}),
+        "With these settings: no failure in 2 checks. During the print: a failure at layer 5."
+    );
+});
