@@ -35,7 +35,7 @@ class MoopPastApi(BlueprintPlugin):
             lines = (self._recording(name) / "checks.jsonl").read_text(encoding="utf-8").splitlines()
         except FileNotFoundError:
             lines = []
-        checks = []
+        checks: list[dict[str, Any]] = []
         for line in lines:
             try:
                 checks.append({**json.loads(line), "id": len(checks)})

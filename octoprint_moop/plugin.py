@@ -34,6 +34,7 @@ class MoopPlugin(
     octoprint.plugin.EventHandlerPlugin,
     octoprint.plugin.AssetPlugin,
     octoprint.plugin.TemplatePlugin,
+    octoprint.plugin.WizardPlugin,
 ):
     """Wires OctoPrint's printer, webcam, events and settings to one `Watch`, one eye for it, and one for the set-up."""
 
@@ -168,6 +169,13 @@ class MoopPlugin(
 
     def is_template_autoescaped(self) -> bool:
         return True
+
+    def is_wizard_required(self) -> bool:
+        """OctoPrint's own assistant only points to the set-up in the tab, where one can come back to it."""
+        return self._setups.get(*self._setup_key()) is None
+
+    def get_wizard_version(self) -> int:
+        return 1
 
     # --- hooks ----------------------------------------------------------------------------------------------------
 
