@@ -205,6 +205,8 @@ class MoopPlugin(
         subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
     ) -> None:  # fmt: skip
         self._watch.holds.line_sent(gcode, tags)
+        if gcode == "M486" or cmd.startswith("EXCLUDE_OBJECT"):
+            self._watch.command_sent(cmd)
 
     def on_gcode_received(self, comm: Any, line: str, *args: Any, **kwargs: Any) -> str:
         self._watch.holds.line_received(line)

@@ -10,6 +10,8 @@ from typing import Any, Protocol
 log = logging.getLogger("octoprint.plugins.moop.acting")
 
 TAG = "moop:mismatch"
+WELL_CHECKS = 5
+"""After so many good checks in a row, what fails is something new."""
 
 
 class Printer(Protocol):
@@ -23,20 +25,28 @@ class Printer(Protocol):
 
 
 class Actor:
-    """Acts once for each thing that fails: a print that was resumed is not stopped again for what is already known."""
+    """Acts once for each thing that fails. A print that was resumed is not stopped again for what is already known,
+    unless all was well for a while in between."""
 
     def __init__(self, printer: Printer) -> None:
         self._printer = printer
         self._told: set[str] = set()
+        self._well = 0
         self._objects: dict[str, str] = {}
+        self._names: dict[str, str] = {}
         self._cooling: threading.Timer | None = None
         self._cooled: dict[str, float] = {}
 
     def begin(self, objects: Sequence[str] = (), cancel_commands: Sequence[str] = ()) -> None:
         """A new print, with the command that makes the firmware skip each of its objects, where there is one."""
-        self._told = set()
+        self._told, self._well = set(), 0
         self._objects = {name: command for name, command in zip(objects, cancel_commands) if command}
+        self._names = {command: name for name, command in self._objects.items()}
         self.forget_cooling()
+
+    def cancelled_by(self, command: str) -> str | None:
+        """The object that this command makes the firmware skip, whoever sends it."""
+        return self._names.get(command)
 
     def act(self, check: dict[str, Any], wanted: str) -> str:
         """Do what is wanted about a check, where it failed; answers what was done.
@@ -44,6 +54,9 @@ class Actor:
         Cancelling one object needs a name that the firmware knows, and something else to go on with: without, it is
         a pause.
         """
+        self._well = self._well + 1 if check["verdict"] == "ok" else 0
+        if self._well >= WELL_CHECKS:
+            self._told = set()
         if check["verdict"] != "failed":
             return "none"
         failed = {entry["name"] for entry in check["objects"] if entry["verdict"] == "failed"} or {""}

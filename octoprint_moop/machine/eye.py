@@ -64,6 +64,7 @@ class Eye:
         cache: str,
         keep_as: str | None = None,
         recording: str | None = None,
+        said: dict[str, str] | None = None,
     ) -> Answer:
         """Get ready to watch a print: read the G-code and make the inspector.
 
@@ -72,6 +73,7 @@ class Eye:
         blobs     : the empty bed's picture, JPEG, or nothing
         keep_as   : where to put a packed copy of the job, for the recording
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
+        said      : what the user said after which of its frames: `accept` or `pardon`
         Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, modes (at
         each end), notes, renderer.
         """
@@ -84,7 +86,7 @@ class Eye:
             Header.from_json(header), toolpath, self._draw(), read_settings(settings), reference
         )
         if recording:
-            self._learn_again(Recording.open(recording))
+            self._learn_again(Recording.open(recording), said or {})
         return {
             "layers": toolpath.layers,
             "ends": ends,
@@ -99,6 +101,16 @@ class Eye:
     def check(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
         """One check of the print that is open. blobs: the frame, JPEG."""
         return self._opened().check(decode(blobs[0]), Moment.from_json(moment)).to_json(), []
+
+    def accept(self, blobs: list[bytes]) -> Answer:
+        """The user goes on with the print as the last check saw it."""
+        self._opened().accept()
+        return {}, []
+
+    def pardon(self, blobs: list[bytes]) -> Answer:
+        """The user says that what the last check saw is no failure."""
+        self._opened().pardon()
+        return {}, []
 
     def pictures(self, blobs: list[bytes]) -> Answer:
         """The masks of the last check as PNGs: seen, expected, ignored. No blobs where nothing could be compared."""
@@ -121,13 +133,15 @@ class Eye:
             raise MoopError("No print is being watched just now. Start one, then look again.")
         return self._inspector
 
-    def _learn_again(self, recording: Recording) -> None:
+    def _learn_again(self, recording: Recording, said: dict[str, str]) -> None:
         for moment in recording.moments[-REBUILT_CHECKS:]:
             with contextlib.suppress(MoopError):  # one damaged picture must not cost what the others teach
                 self._opened().check(recording.frame(moment), moment)
+            if moment.frame in said:
+                getattr(self, said[moment.frame])([])
 
 
-QUESTIONS = ("index", "open", "check", "pictures")
+QUESTIONS = ("index", "open", "check", "accept", "pardon", "pictures")
 
 
 def answer(eye: Eye, do: str, blobs: list[bytes], arguments: dict[str, Any]) -> Answer:

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-_WORDS = re.compile(
-    rb"^[ \t]*(?:N\d+[ \t]*)?(?:(G9[01]|M8[23]|G2[01])(?![\d.])|G[0-3][ \t][^;\n]*?F[ \t]*(\d+(?:\.\d*)?))",
-    re.MULTILINE,
-)
+_MODES = tuple(re.compile(b"\n(" + words + rb")(?![\d.])") for words in (b"G9[01]", b"M8[23]", b"G2[01]"))
+_MOVE = re.compile(rb"G[0-3][ \t]")
+_NUMBER = re.compile(rb"[ \t]*(\d+(?:\.\d*)?)")
+_FAR = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -74,26 +74,36 @@ def read_modes(text: bytes, ends: Sequence[int]) -> list[Modes]:
 
     A file that never says is taken to be absolute and in millimetres, as firmwares start.
     """
+    text = b"\n" + text  # so that every line has its begin; positions below are therefore those of line ends
+    words = sorted((match.start(), match.group(1)) for mode in _MODES for match in mode.finditer(text))
     found: list[Modes] = []
     relative = inches = e_if_g90_counts = e_if_not = False
-    feed: float | None = None
+    at = 0
+    for end in ends:
+        while at < len(words) and words[at][0] < end:
+            word = words[at][1]
+            if word in (b"G90", b"G91"):
+                relative = e_if_g90_counts = word == b"G91"
+            elif word in (b"M82", b"M83"):
+                e_if_g90_counts = e_if_not = word == b"M83"
+            else:
+                inches = word == b"G20"
+            at += 1
+        relative_e = e_if_not if e_if_not == e_if_g90_counts else None
+        found.append(Modes(not relative and not inches, relative_e, _feed_before(text, end)))
+    return found
 
-    def now() -> Modes:
-        return Modes(not relative and not inches, e_if_not if e_if_not == e_if_g90_counts else None, feed)
 
-    for match in _WORDS.finditer(text):
-        while len(found) < len(ends) and match.start() >= ends[len(found)]:
-            found.append(now())
-        word, said = match.groups()
-        if word in (b"G90", b"G91"):
-            relative = e_if_g90_counts = word == b"G91"
-        elif word in (b"M82", b"M83"):
-            e_if_g90_counts = e_if_not = word == b"M83"
-        elif word in (b"G20", b"G21"):
-            inches = word == b"G20"
-        else:
-            feed = float(said)
-    return found + [now()] * (len(ends) - len(found))
+def _feed_before(text: bytes, end: int) -> float | None:
+    """The last feed rate of a move before `end`, looking back as far as a layer may be long."""
+    at = end
+    while (at := text.rfind(b"F", max(end - _FAR, 0), at)) >= 0:
+        line_start = text.rfind(b"\n", 0, at) + 1
+        before = text[line_start:at]
+        number = _NUMBER.match(text, at + 1)
+        if number and b";" not in before and _MOVE.match(before):
+            return float(number.group(1))
+    return None
 
 
 def modes_at(modes: Sequence[Modes], ends: Sequence[int], file_pos: int) -> Modes | None:

@@ -10,7 +10,7 @@ import logging
 import queue
 import threading
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Callable
 
@@ -18,6 +18,7 @@ from ..core.errors import FrameError, MoopError
 from ..core.settings import Settings
 from .acting import Actor
 from .holds import Hold, Holds
+from .jobs import Job, Print
 from .ledger import IDLE, Ledger
 from .link import EyeGone, EyeLink, Interrupted
 from .parking import Modes, Park, modes_at
@@ -31,64 +32,6 @@ REVIVALS = 5
 TICK_S = 2.0
 REST_S = 600.0
 """After so long without a print the eye is closed, and its memory given back."""
-HEAD_MM = 40.0
-"""As far around the nozzle the head may cover what lies below."""
-EDGE_MM = 2.0
-
-
-@dataclass(frozen=True)
-class Job:
-    """A print that began. header: a recording's header, or None where the set-up was never made."""
-
-    name: str
-    path: str | None
-    header: dict[str, Any] | None
-    why_not: str = ""
-    over: threading.Event = field(default_factory=threading.Event)
-
-
-@dataclass
-class _Print:
-    """What the thread knows of the print that runs. Nobody else touches it."""
-
-    job: Job
-    began_s: float = field(default_factory=time.monotonic)
-    recorder: Recorder | None = None
-    ends: list[int] = field(default_factory=list)
-    bounds_mm: list[list[float]] = field(default_factory=list)
-    modes: list[Modes] = field(default_factory=list)
-    born: int = 0
-    revivals: int = 0
-    last_pos: float = -1
-    looked_s: float | None = None
-    last_jpeg: bytes = b""
-    frames: int = 0
-    switched_off: bool = False
-
-    def park_at_mm(self, wanted: str) -> tuple[float, float]:
-        """Where to park: as wanted, or at the left edge of the bed, or at the right one where the print is at the left.
-
-        Y is that at which the camera was calibrated, where the bed moves; else the far edge.
-        """
-        try:
-            x, y = (float(part) for part in wanted.split(","))
-            return x, y
-        except ValueError:
-            pass
-        printer = (self.job.header or {})["printer"]
-        width, depth = printer["volume_mm"]["width"], printer["volume_mm"]["depth"]
-        left, front = (-width / 2, -depth / 2) if printer["origin"] == "center" else (0.0, 0.0)
-        near_left = self.bounds_mm[0][0] - left < HEAD_MM
-        near_right = left + width - self.bounds_mm[1][0] < HEAD_MM
-        x = left + width - EDGE_MM if near_left and not near_right else left + EDGE_MM
-        moving = printer["bed_motion"] == "y"
-        return x, printer["bed_reference_mm"]["y"] if moving else front + depth - EDGE_MM
-
-    def stands_clear(self, position_mm: tuple[float, float, float]) -> bool:
-        """The head is beside the print, not above it."""
-        (x0, y0, _), (x1, y1, _) = self.bounds_mm
-        x, y, _ = position_mm
-        return not (x0 - HEAD_MM < x < x1 + HEAD_MM and y0 - HEAD_MM < y < y1 + HEAD_MM)
 
 
 @dataclass(frozen=True)
@@ -118,7 +61,7 @@ class Watch:
         self._mailbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self.holds = Holds(printer, lambda hold: self._mailbox.put(lambda: self._look(hold)))
         self.actor = Actor(printer)
-        self._print: _Print | None = None
+        self._print: Print | None = None
         self._job: Job | None = None
         self._idle_since_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="moop.watch", daemon=True)
@@ -173,7 +116,13 @@ class Watch:
 
     def pardon(self) -> None:
         """What was found is not a failure: take it back."""
-        self._mailbox.put(lambda: self._ledger.note(action="none", reason=""))
+        self._mailbox.put(lambda: self._settle_it("pardon"))
+
+    def command_sent(self, command: str) -> None:
+        """Somebody, ourselves perhaps, sent a command; it may make the firmware skip an object from now on."""
+        name = self.actor.cancelled_by(command)
+        if name is not None:
+            self._mailbox.put(lambda: self._skip(name))
 
     # --- the thread -----------------------------------------------------------------------------------------------
 
@@ -191,7 +140,7 @@ class Watch:
                 log.exception("The watch stumbled, and goes on")
 
     def _begin(self, job: Job) -> None:
-        self._print = current = _Print(job)
+        self._print = current = Print(job)
         self.holds.plan_none()
         self.actor.begin()
         self._ledger.begin(job.name, blind="The G-code is being read.")
@@ -206,7 +155,7 @@ class Watch:
             current.recorder = Recorder(self._recordings, job.name, self._header(current), budget_bytes)
         self._open(current)
 
-    def _open(self, current: _Print, again: bool = False) -> None:
+    def _open(self, current: Print, again: bool = False) -> None:
         """Make the eye ready for this print, and begin to hold at its layers."""
         assert current.job.path is not None
         folder = current.recorder.folder if current.recorder is not None else None
@@ -218,7 +167,7 @@ class Watch:
                 "open", timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
                 job=str(job), header=self._header(current), settings=asdict(self._settings),
                 cache=str(self._cache), keep_as=str(packed) if packed is not None else None,
-                recording=str(folder) if again and folder is not None else None,
+                recording=str(folder) if again and folder is not None else None, said=current.said,
             )  # fmt: skip
         except Interrupted:
             return
@@ -241,7 +190,7 @@ class Watch:
             renderer=result["renderer"], layers=len(current.ends),
         )  # fmt: skip
 
-    def _revive_later(self, current: _Print, why: str) -> None:
+    def _revive_later(self, current: Print, why: str) -> None:
         """The eye has gone. Start it again, a little later each time, until it is plain that it will not stay."""
         self.holds.plan_none()
         current.revivals += 1
@@ -288,7 +237,7 @@ class Watch:
         if current is not None and look is not None:
             self._keep(current, look, time.monotonic() - hold.since_s)
 
-    def _see(self, current: _Print, hold: Hold) -> _Look:
+    def _see(self, current: Print, hold: Hold) -> _Look:
         """Wait until the printer stands still, take a picture, and have it checked.
 
         Raises Interrupted, FrameError, EyeGone, and what the eye raises.
@@ -316,7 +265,7 @@ class Watch:
         if hold.position_mm is None or hold.stopped.wait(0):
             raise Interrupted(hold.dropped)
 
-    def _moves(self, current: _Print, hold: Hold) -> tuple[list[str], list[str]] | None:
+    def _moves(self, current: Print, hold: Hold) -> tuple[list[str], list[str]] | None:
         """Away and back, where the head is to be parked, is not out of the way already, and may be moved."""
         settings, position_mm = self._settings, hold.position_mm
         modes = modes_at(current.modes, current.ends, hold.file_pos)
@@ -329,7 +278,7 @@ class Watch:
         )  # fmt: skip
         return park.moves(position_mm, hold.e_mm, modes)
 
-    def _picture(self, current: _Print, hold: Hold) -> _Look:
+    def _picture(self, current: Print, hold: Hold) -> _Look:
         """Take a picture of the print as it stands now, and have it checked. Raises as `_see`."""
         if hold.stopped.wait(self._settings.settle_s) or hold.position_mm is None:
             raise Interrupted(hold.dropped)
@@ -340,6 +289,7 @@ class Watch:
             "frame": f"frames/{current.frames:06d}.jpg", "file_pos": hold.file_pos, "layer": hold.layer,
             "position_mm": {"x": x, "y": y, "z": z}, "time_s": round(time.monotonic() - current.began_s, 3),
             "parked": hold.marked or current.stands_clear(hold.position_mm),
+            **({"cancelled": dict(current.cancelled)} if current.cancelled else {}),
         }  # fmt: skip
         current.frames += 1
         if self._eye.births != current.born:
@@ -349,7 +299,7 @@ class Watch:
         )
         return _Look(jpeg, moment, check)
 
-    def _fresh(self, current: _Print, hold: Hold, deadline_s: float) -> bytes:
+    def _fresh(self, current: Print, hold: Hold, deadline_s: float) -> bytes:
         """A picture that is not, byte for byte, the one of the last check: no sensor delivers the same noise twice."""
         for attempt in range(3):
             if attempt and hold.stopped.wait(0.5):
@@ -366,9 +316,9 @@ class Watch:
             log.warning("Layer %d failed: %s Action: %s", check["layer"], check["reason"], check["action"])
             self._ledger.note(action=check["action"], reason=check["reason"])
 
-    def _keep(self, current: _Print, look: _Look, held_s: float) -> None:
+    def _keep(self, current: Print, look: _Look, held_s: float) -> None:
         """After the release: keep the pictures, write the recording, tell everybody."""
-        current.revivals = 0
+        current.revivals, current.last_frame = 0, look.moment["frame"]
         check, pictures = look.check, {"frame.jpg": look.jpeg}
         try:
             _, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over)
@@ -381,7 +331,7 @@ class Watch:
         self._ledger.note(layer=check["layer"])
         self._ledger.add(check, pictures, held_s)
 
-    def _plan(self, current: _Print) -> None:
+    def _plan(self, current: Print) -> None:
         if current.switched_off or current.job.over.is_set() or self._print is not current:
             return
         settings = self._settings
@@ -414,9 +364,26 @@ class Watch:
         self._ledger.note(blind=IDLE)
 
     def _go_on(self) -> None:
-        """The user resumed the print: what was done about it is over, and known."""
+        """The user resumed the print. Where we had paused it, it is accepted as it stands: only what is new counts."""
         self.actor.forget_cooling()
+        if self._ledger.status["action"] == "pause":
+            self._settle_it("accept")
+
+    def _settle_it(self, how: str) -> None:
+        """What failed is settled, by `accept` or `pardon`; remembered, too, for an eye that has to begin anew."""
         self._ledger.note(action="none", reason="")
+        current = self._print
+        if current is None or not current.last_frame:
+            return
+        current.said[current.last_frame] = how
+        try:
+            self._eye.ask(how, timeout_s=20.0, interrupted=current.job.over)
+        except MoopError as error:
+            log.info("Could not %s: %s", how, error)
+
+    def _skip(self, name: str) -> None:
+        if self._print is not None:
+            self._print.cancelled.setdefault(name, max(int(self._print.last_pos), 0))
 
     def _read_ahead(self, path: str) -> None:
         if self._print is None:
@@ -450,7 +417,7 @@ class Watch:
             self.holds.plan_none()
             self._ledger.note(blind="Watching was switched off for this print.")
 
-    def _header(self, current: _Print) -> dict[str, Any]:
+    def _header(self, current: Print) -> dict[str, Any]:
         settings = self._settings
         material = {
             "hue_deg": [settings.hue_min_deg, settings.hue_max_deg],

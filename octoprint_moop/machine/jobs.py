@@ -1,0 +1,73 @@
+"""A print from its start to its end, as the watch keeps it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from .parking import Modes
+from .recorder import Recorder
+
+HEAD_MM = 40.0
+"""As far around the nozzle the head may cover what lies below."""
+EDGE_MM = 2.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """A print that began. header: a recording's header, or None where the set-up was never made."""
+
+    name: str
+    path: str | None
+    header: dict[str, Any] | None
+    why_not: str = ""
+    over: threading.Event = field(default_factory=threading.Event)
+
+
+@dataclass
+class Print:
+    """What the watching thread knows of the print that runs. Nobody else touches it."""
+
+    job: Job
+    began_s: float = field(default_factory=time.monotonic)
+    recorder: Recorder | None = None
+    ends: list[int] = field(default_factory=list)
+    bounds_mm: list[list[float]] = field(default_factory=list)
+    modes: list[Modes] = field(default_factory=list)
+    born: int = 0
+    revivals: int = 0
+    last_pos: float = -1
+    looked_s: float | None = None
+    last_jpeg: bytes = b""
+    frames: int = 0
+    last_frame: str = ""
+    switched_off: bool = False
+    cancelled: dict[str, int] = field(default_factory=dict)
+    said: dict[str, str] = field(default_factory=dict)
+
+    def park_at_mm(self, wanted: str) -> tuple[float, float]:
+        """Where to park: as wanted, or at the left edge of the bed, or at the right one where the print is at the left.
+
+        Y is that at which the camera was calibrated, where the bed moves; else the far edge.
+        """
+        try:
+            x, y = (float(part) for part in wanted.split(","))
+            return x, y
+        except ValueError:
+            pass
+        printer = (self.job.header or {})["printer"]
+        width, depth = printer["volume_mm"]["width"], printer["volume_mm"]["depth"]
+        left, front = (-width / 2, -depth / 2) if printer["origin"] == "center" else (0.0, 0.0)
+        near_left = self.bounds_mm[0][0] - left < HEAD_MM
+        near_right = left + width - self.bounds_mm[1][0] < HEAD_MM
+        x = left + width - EDGE_MM if near_left and not near_right else left + EDGE_MM
+        moving = printer["bed_motion"] == "y"
+        return x, printer["bed_reference_mm"]["y"] if moving else front + depth - EDGE_MM
+
+    def stands_clear(self, position_mm: tuple[float, float, float]) -> bool:
+        """The head is beside the print, not above it."""
+        (x0, y0, _), (x1, y1, _) = self.bounds_mm
+        x, y, _ = position_mm
+        return not (x0 - HEAD_MM < x < x1 + HEAD_MM and y0 - HEAD_MM < y < y1 + HEAD_MM)
