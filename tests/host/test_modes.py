@@ -88,6 +88,28 @@ def test_a_hot_end_that_was_turned_off_in_a_long_pause_is_hot_before_the_next_mo
     assert after.index("M109 S60") < moves[0]
 
 
+def test_an_object_that_anybody_cancels_is_known_to_be_cancelled_from_then_on(room, saved):
+    saved(on_failed="none")  # the webcam knows nothing of cancelled objects and goes on painting it
+    lines, layer = [], 0
+    for line in box_gcode(layers=10).splitlines():
+        if " Z" in line and "F12000" in line:
+            if layer:
+                lines += ["EXCLUDE_OBJECT_END NAME=box"]
+            lines += ["EXCLUDE_OBJECT_START NAME=box"]
+            layer += 1
+        lines.append(line)
+    lines = ["EXCLUDE_OBJECT_DEFINE NAME=box", *lines[:-3], "EXCLUDE_OBJECT_END NAME=box", *lines[-3:]]
+    room.print("\n".join(lines) + "\n")
+    room.wait_checks(2)
+    room.server.api("POST", "/api/printer/command", json={"command": "EXCLUDE_OBJECT NAME=box"})
+    count = len(room.checks)
+    room.wait_checks(count + 3)
+    room.wait_done()
+    name = room.moop("GET", "recordings")["recordings"][0]["name"]
+    frames = (room.server.basedir / "data/moop/recordings" / name / "frames.jsonl").read_text()
+    assert '"cancelled": {"box": ' in frames.splitlines()[-1] and "cancelled" not in frames.splitlines()[0]
+
+
 def test_watching_can_be_switched_off_altogether_and_says_so(room, saved):
     saved(watch_prints=False)
     room.print(box_gcode(layers=2))

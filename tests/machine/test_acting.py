@@ -1,6 +1,6 @@
 import pytest
 
-from octoprint_moop.machine.acting import Actor
+from octoprint_moop.machine.acting import WELL_CHECKS, Actor
 
 
 class Printer:
@@ -52,6 +52,17 @@ def test_what_is_known_is_not_acted_on_again(actor, printer):
     assert printer.done == ["pause", "pause"]
     actor.begin()
     assert actor.act(failed(), "pause") == "pause", "and so is another print"
+
+
+def test_after_a_while_of_good_checks_the_same_may_fail_anew(actor, printer):
+    good = {"verdict": "ok", "objects": []}
+    assert actor.act(failed("ship"), "pause") == "pause"
+    for _ in range(WELL_CHECKS - 1):
+        actor.act(good, "pause")
+    assert actor.act(failed("ship"), "pause") == "none"
+    for _ in range(WELL_CHECKS):
+        actor.act(good, "pause")
+    assert actor.act(failed("ship"), "pause") == "pause"
 
 
 def test_only_the_failed_object_is_cancelled_while_there_is_another(actor, printer):
