@@ -35,7 +35,7 @@ def learned(folder: Path) -> str:
 
 def test_each_image_gives_a_mask_of_its_own_name_and_size(pictures):
     result = run(pictures / "later.jpg", pictures / "learn.jpg", "--learn", learned(pictures), "-o", pictures / "out")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.stderr
     seen = cv2.imread(str(pictures / "out" / "later.png"), cv2.IMREAD_UNCHANGED)
     truth = cv2.imread(str(pictures / "later.png"), cv2.IMREAD_UNCHANGED)
     assert seen.shape == truth.shape and set(np.unique(seen)) == {0, 255}
@@ -48,7 +48,7 @@ def test_the_expected_masks_are_taken_in_order_and_do_not_win_over_the_picture(p
         pictures / "later.jpg", "--learn", learned(pictures), "--expected", pictures / "learn.png",
         "--box", "40,20,130,118", "-o", pictures,
     )  # fmt: skip
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.stderr
     seen = cv2.imread(str(pictures / "later.png"), cv2.IMREAD_UNCHANGED)
     assert seen[55:65, 65:105].all() and not seen[:45].any()
 
@@ -67,13 +67,13 @@ def test_the_expected_masks_are_taken_in_order_and_do_not_win_over_the_picture(p
 def test_what_is_wrong_is_said_in_a_sentence_and_the_status_is_2(pictures, monkeypatch, words, sentence):
     monkeypatch.chdir(pictures)
     result = run("later.jpg", *words, "-o", "out")
-    assert result.exit_code == 2 and sentence in result.output and "Traceback" not in result.output
+    assert result.exit_code == 2 and sentence in result.stderr and "Traceback" not in result.output
 
 
 def test_a_picture_that_is_none_is_named(pictures):
     (pictures / "broken.jpg").write_bytes(b"not a picture")
     result = run(pictures / "broken.jpg", "--learn", learned(pictures), "-o", pictures / "out")
-    assert result.exit_code == 2 and "broken.jpg" in result.output
+    assert result.exit_code == 2 and "broken.jpg" in result.stderr
 
 
 def test_masks_that_would_replace_each_other_are_refused(pictures):
@@ -81,7 +81,7 @@ def test_masks_that_would_replace_each_other_are_refused(pictures):
     other.mkdir()
     (other / "later.jpg").write_bytes((pictures / "later.jpg").read_bytes())
     result = run(pictures / "later.jpg", other / "later.jpg", "--learn", learned(pictures), "-o", pictures / "out")
-    assert result.exit_code == 2 and "one name" in result.output
+    assert result.exit_code == 2 and "one name" in result.stderr
 
 
 def test_the_expected_mask_must_fit_its_image(pictures):
@@ -89,13 +89,13 @@ def test_the_expected_mask_must_fit_its_image(pictures):
     result = run(
         pictures / "later.jpg", "--learn", learned(pictures), "--expected", pictures / "small.png", "-o", pictures
     )  # fmt: skip
-    assert result.exit_code == 2 and "80x60" in result.output
+    assert result.exit_code == 2 and "80x60" in result.stderr
 
 
 def test_a_recordings_frame_gives_what_the_pipeline_saw_in_it(shared, tmp_path):
     case = shared / "cases" / "cube-clean"
     result = run(case, "--frame", "frames/000012.jpg", "--distorted", "-o", tmp_path / "seen.png")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.stderr
     seen = cv2.imread(str(tmp_path / "seen.png"), cv2.IMREAD_UNCHANGED)
     truth = cv2.imread(str(case / "frames" / "000012.mask.png"), cv2.IMREAD_UNCHANGED)
     both, either = np.count_nonzero((seen > 0) & (truth > 0)), np.count_nonzero((seen > 0) | (truth > 0))
@@ -104,7 +104,7 @@ def test_a_recordings_frame_gives_what_the_pipeline_saw_in_it(shared, tmp_path):
 
 def test_a_frame_that_the_recording_lacks_is_named(shared, tmp_path):
     result = run(shared / "cases" / "cube-clean", "--frame", "frames/999999.jpg", "-o", tmp_path / "seen.png")
-    assert result.exit_code == 2 and "999999" in result.output
+    assert result.exit_code == 2 and "999999" in result.stderr
 
 
 @pytest.mark.parametrize("words", [["--frame", "a.jpg", "--learn", "b=c"], ["--frame", "a.jpg", "--box", "1,2,3,4"]])
