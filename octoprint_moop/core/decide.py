@@ -45,7 +45,7 @@ class Track:
     """What the good checks of one scope have shown, and the sum of surprises since.
 
     wide  : scales all its limits
-    quiet : for so many checks more, missing matter is taken for what is usual from now on
+    quiet : for so many checks in which new matter comes, its absence is not asked after: the user went on without it
     """
 
     lost: tuple[float, ...] = ()
@@ -83,7 +83,9 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     limit = wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / total)
     lost = (evidence.lost_px / total - _usual(track.lost)) / limit
     stray = (evidence.stray_px / total - _usual(track.stray)) / limit
-    faint = _above(track.rim, evidence.rim_px / total) + _above(track.unseen, evidence.unseen_px / total)
+    faint = _above(track.rim, evidence.rim_px / total)
+    if not track.quiet:
+        faint += _above(track.unseen, evidence.unseen_px / total)
     found = [
         Surprise("lost", lost),
         Surprise("stray", stray),
@@ -162,7 +164,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
     total = max(evidence.total_px, 1)
     return replace(
         track,
-        quiet=max(track.quiet - 1, 0),
+        quiet=max(track.quiet - _comes(evidence), 0),
         lost=_with(track.lost, evidence.lost_px / total),
         stray=_with(track.stray, evidence.stray_px / total),
         rim=_with(track.rim, evidence.rim_px / total),
@@ -177,12 +179,17 @@ def learn(track: Track, evidence: Evidence) -> Track:
 
 def accept(track: Track) -> Track:
     """The track where the user goes on with the print as it is: a new past begins."""
-    return Track(wide=track.wide, quiet=FRESH_CHECKS)
+    return Track(wide=track.wide, quiet=WINDOWS[-1])
 
 
 def pardon(track: Track) -> Track:
     """The track where the user says that it was no failure: as `accept`, and this scope is less easily surprised."""
-    return Track(wide=track.wide * PARDON, quiet=FRESH_CHECKS)
+    return Track(wide=track.wide * PARDON, quiet=WINDOWS[-1])
+
+
+def _comes(evidence: Evidence) -> bool:
+    """Whether most of what the last layers should have added is seen."""
+    return any(new_px >= FRESH_LEAST_PX and seen_px > 0.6 * new_px for new_px, seen_px in evidence.fresh[:2])
 
 
 def _usual(past: Sequence[float]) -> float:

@@ -138,7 +138,9 @@ class _Scope:
     def lifted(self) -> tuple[tuple[float, float], float]:
         """Where matter is lost, in picture pixels, and how high the largest gap is, in pixels."""
         gaps = self._lost.sum(axis=0)
-        return tuple(_middle(self._lost) + self._origin_px), float(np.percentile(gaps[gaps > 0], 80)) if gaps.any() else 0.0
+        # what is lost keeps a pixel's distance from what is still seen
+        gap_px = float(np.percentile(gaps[gaps > 0], 80)) + 1 if gaps.any() else 0.0
+        return tuple(_middle(self._lost) + self._origin_px), gap_px
 
     def unseen_ratio(self, since: int) -> float:
         """Share of what has come since that layer, and is in sight, that is not seen."""

@@ -9,6 +9,7 @@ MOST_MISFIT_PX = 6  # a calibration further off than this must be done again, no
 SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from then on it only creeps,
 CREEPING_CHECKS = 12  # by a pixel in so many, as a print grows out of the height at which it was found
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
+LEAST_GAIN = 0.02  # of the expected pixels, by a pixel of misfit
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
@@ -99,7 +100,7 @@ class Memory:
         """
         self._checks += 1
         if self._checks % CREEPING_CHECKS == 0:
-            self._refit(window, wanted, observed, ignored, 1)
+            self._creep(window, wanted, observed, ignored)
         there = self.moved(window)
         seen, sure = observed[there] > 0, ignored[there] == 0
         look = cv2.blur(frame_bgr[there], (3, 3))
@@ -143,28 +144,31 @@ class Memory:
 
     def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
         """Before the first good checks: find the misfit anew, as far off as may be."""
-        if self._checks < SETTLING_CHECKS:
-            self._refit(window, wanted, observed, ignored, MOST_MISFIT_PX)
+        if self._checks >= SETTLING_CHECKS or not wanted.any():
+            return
+        rows, columns = window
+        reach = MOST_MISFIT_PX
+        around = slice(rows.start - reach, rows.stop + reach), slice(columns.start - reach, columns.stop + reach)
+        pays = np.where(observed[around] > 0, np.float32(1), np.float32(-1))
+        pays[ignored[around] > 0] = 0
+        score = cv2.matchTemplate(pays, wanted.astype(np.float32), cv2.TM_CCORR)
+        down, right = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+        # of offsets that explain about as much, the smallest
+        score -= LEAST_GAIN * np.count_nonzero(wanted) * np.hypot(right, down)
+        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+        self.misfit_px = (int(column) - reach, int(row) - reach)
 
-    def _refit(
-        self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray, most_steps: int
-    ) -> None:
-        """Climb to the offset at which the expected mask agrees best, in steps of a pixel that each explain much."""
-        for _ in range(most_steps):
-            best = here = self._disagreement(self.misfit_px, window, wanted, observed, ignored)
-            if here < 20:
-                return
-            at = self.misfit_px
-            for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                offset = (self.misfit_px[0] + step[0], self.misfit_px[1] + step[1])
-                if max(abs(offset[0]), abs(offset[1])) > MOST_MISFIT_PX:
-                    continue
+    def _creep(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
+        """A pixel towards the offset at which the expected mask agrees better, where that explains much."""
+        here = self._disagreement(self.misfit_px, window, wanted, observed, ignored)
+        best, at = 0.9 * here - 20, self.misfit_px
+        for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            offset = (self.misfit_px[0] + step[0], self.misfit_px[1] + step[1])
+            if max(abs(offset[0]), abs(offset[1])) <= MOST_MISFIT_PX:
                 there = self._disagreement(offset, window, wanted, observed, ignored)
-                if there < min(best, 0.9 * here):
+                if there < best:
                     best, at = there, offset
-            if at == self.misfit_px:
-                return
-            self.misfit_px = at
+        self.misfit_px = at
 
     @staticmethod
     def _disagreement(

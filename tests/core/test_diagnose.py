@@ -1,0 +1,85 @@
+"""Which failure it is, on pictures painted by hand and moved by known distances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from octoprint_moop.core.decide import FAILED, Outcome, Surprise
+from octoprint_moop.core.diagnose import diagnose
+from octoprint_moop.core.evidence import WHOLE, find
+
+from .stage import GROUND, LAYER_PX, PX_PER_MM, SHAPE, Stage, moved, wall, walls
+
+
+class FlatPlace:
+    """The bed seen as a map: x to the right, y to the back, PX_PER_MM."""
+
+    def __init__(self, upto: int) -> None:
+        self._upto = upto
+
+    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+        numbers = (0, 1) if object_id == WHOLE else (object_id,)
+        part = np.any([wall(number, self._upto, first_layer) for number in numbers], axis=0)
+        return np.where(part, np.uint8(255), np.uint8(0))
+
+    def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
+        return np.asarray(pixels, float) / PX_PER_MM * [1, -1]
+
+    def layer_z_mm(self, layer: int) -> float:
+        return 0.2 * (layer + 1)
+
+
+def named(layer: int, matter: np.ndarray, object_id: int = WHOLE, good_upto: int = 20):
+    stage = Stage().printed(good_upto)
+    sight = stage.sight(layer, matter)
+    surprises = (Surprise("all", 9.0), Surprise("lost", 9.0), Surprise("stray", 9.0), Surprise("fresh", 9.0))
+    return diagnose(Outcome(object_id, FAILED, surprises, 9.0), find(sight, stage.memory), sight, FlatPlace(layer))
+
+
+@pytest.mark.parametrize(("right", "way"), [(12, "right"), (-16, "left")])
+def test_what_lies_above_a_layer_and_is_displaced_is_a_layer_shift_with_its_distance(right, way):
+    found = named(23, walls(20) | moved(wall(0, 23, 21) | wall(1, 23, 21), right, 0))
+    assert found.mode == "layer_shift"
+    assert found.sentence == f"Everything above layer 21 is shifted by about {abs(right) / PX_PER_MM:.0f} mm to the {way}."
+
+
+def test_a_wall_that_moved_as_a_whole_has_come_off():
+    found = named(21, moved(wall(0, 20), -24, 0) | wall(1, 21), object_id=0)
+    assert found.mode == "detachment"
+    assert "6 mm to the left" in found.sentence
+
+
+def test_a_wall_of_which_nothing_is_left_is_gone():
+    found = named(21, wall(1, 21), object_id=0)
+    assert (found.mode, found.sentence) == ("detachment", "The print is gone from its place.")
+
+
+def test_layers_that_never_came_are_an_extrusion_failure_since_the_first_of_them():
+    found = named(25, walls(21), good_upto=21)
+    assert found.mode == "extrusion_failure"
+    assert found.sentence == "No new material since layer 22."
+
+
+def test_a_foot_laid_bare_is_a_corner_that_has_lifted():
+    matter = walls(21)
+    matter[GROUND - 8 : GROUND, 90:112] = False
+    found = named(21, matter, object_id=0)
+    assert found.mode == "warping"
+    assert "left" in found.sentence and "2.0 mm" in found.sentence
+
+
+def test_strands_beside_a_print_that_stands_are_stray_material():
+    matter = walls(21)
+    for row in range(GROUND - 60, GROUND - 10, 9):
+        matter[row : row + 2, 60:90] = True
+    found = named(21, matter, object_id=0)
+    assert found.mode == "stray_material"
+
+
+def test_a_print_that_has_stopped_growing_amid_strands_is_not_called_a_clog():
+    matter = walls(20)
+    matter[GROUND - 21 * LAYER_PX - 6 : GROUND - 21 * LAYER_PX - 4, 80:160] = True
+    matter[120:124, 60:90] = True
+    assert matter.shape == SHAPE
+    assert named(23, matter, object_id=0).mode == "stray_material"

@@ -1,0 +1,123 @@
+"""What counts as lost, stray and unseen, on pictures painted by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from octoprint_moop.core.evidence import about_print, near_to, without_specks
+
+from .stage import LAYER_PX, SHAPE, Stage, moved, wall, walls
+
+
+def figures(evidence):
+    return evidence.lost_px, evidence.stray_px, evidence.unseen_px, evidence.barren_px
+
+
+def test_a_print_that_grows_as_it_should_shows_nothing_wrong():
+    stage = Stage()
+    for layer in range(15):
+        found = stage.good(layer, walls(layer))
+        assert [figures(scope) for scope in found.scopes] == [(0, 0, 0, 0)] * 3
+        assert found.whole.error_ratio == 0
+
+
+@pytest.mark.parametrize("off", [(3, 0), (-3, 2), (0, -4)])
+def test_a_calibration_that_is_pixels_off_is_found_before_the_first_verdict(off):
+    stage = Stage()
+    for layer in range(10):
+        found = stage.good(layer, moved(walls(layer), *off))
+        assert found.whole.lost_px == found.whole.stray_px == found.whole.barren_px == 0
+    assert stage.memory.misfit_px == off
+
+
+def test_a_print_that_moves_later_is_not_taken_for_a_calibration_that_is_off():
+    stage = Stage().printed(12)
+    found = stage.look(13, moved(walls(13), 5, 0))
+    assert stage.memory.misfit_px == (0, 0)
+    # each wall leaves a strip of 5 px less what lies within 1.5 px of matter, over the height that stood before
+    assert found.whole.lost_px == pytest.approx(2 * 4 * 13 * LAYER_PX, rel=0.1)
+    assert found.whole.stray_px == pytest.approx(2 * 3 * 14 * LAYER_PX, rel=0.1)
+
+
+def test_matter_that_is_gone_is_lost_to_its_own_object_only():
+    stage = Stage().printed(12)
+    whole, left, right = stage.look(12, wall(1, 12)).scopes
+    assert left.lost_px == whole.lost_px == pytest.approx(np.count_nonzero(wall(0, 12)), rel=0.02)
+    assert right.lost_px == 0
+
+
+def test_stray_matter_belongs_to_the_object_beside_it():
+    stage = Stage().printed(12)
+    strand = np.zeros(SHAPE, bool)
+    strand[150:153, 232:260] = True
+    whole, left, right = stage.look(12, walls(12) | strand).scopes
+    assert (left.stray_px, right.stray_px) == (0, whole.stray_px)
+    assert whole.stray_px == pytest.approx(np.count_nonzero(strand), abs=8)
+
+
+def test_matter_that_segmentation_no_longer_sees_but_the_picture_shows_is_not_lost():
+    """A lamp was dimmed: the thresholds miss half of the print, which stands there all the same."""
+    stage = Stage().printed(12)
+    half = walls(12)
+    half[:, ::2] = False
+    half[:, :120] = False
+    found = stage.look(12, walls(12), gain=0.85, observed=half)
+    assert found.whole.lost_px == 0
+
+
+def test_matter_that_segmentation_imagines_where_nothing_changed_has_not_come():
+    stage = Stage().printed(12)
+    found = stage.look(15, walls(12), observed=walls(15))
+    new_px = np.count_nonzero(walls(15) & ~walls(12))
+    # the row that touches the last layer is blurred by it
+    assert 0.8 * new_px <= found.whole.unseen_px <= new_px
+
+
+def test_a_thing_of_the_same_colour_away_from_the_print_is_not_stray():
+    stage = Stage().printed(12)
+    thing = np.zeros(SHAPE, bool)
+    thing[60:80, 20:40] = True
+    assert stage.look(12, walls(12) | thing).whole.stray_px == 0
+
+
+def test_what_hides_the_print_is_told_from_what_is_gone():
+    stage = Stage().printed(12)
+    sight = stage.sight(12, walls(12))
+    sight.frame_bgr[100:200, 80:160] = (120, 150, 200)
+    sight.observed[100:200, 80:160] = 0
+    from octoprint_moop.core.evidence import find
+
+    found = find(sight, stage.memory)
+    assert found.hidden_px > 1000
+    assert found.whole.lost_px == 0
+    assert stage.look(12, wall(1, 12)).hidden_px == 0
+
+
+def test_nothing_extruded_shows_at_the_first_layer_that_is_wide_enough_to_tell():
+    stage = Stage()
+    found = stage.look(4, np.zeros(SHAPE, bool))
+    assert found.whole.barren_px == found.whole.deep_px > 0
+
+
+def test_specks_are_dropped_and_strands_are_kept():
+    mask = np.zeros((20, 20), bool)
+    mask[2, 2] = mask[5:7, 5:7] = True
+    mask[12, 3:17] = True
+    assert np.count_nonzero(without_specks(mask)) == 14
+
+
+def test_only_spots_that_come_near_the_print_are_kept_and_then_whole():
+    wanted, spots = np.zeros((40, 40), np.uint8), np.zeros((40, 40), bool)
+    wanted[30:, :10] = 255
+    spots[32, 12:35] = True
+    spots[5:8, 5:8] = True
+    kept = near_to(wanted, spots, 6.0)
+    assert np.count_nonzero(kept) == 23 and not kept[:10].any()
+
+
+def test_the_window_stays_in_the_picture_wherever_the_misfit_moves_it():
+    complete = np.zeros((100, 100), np.uint8)
+    complete[:, 90:] = 255
+    rows, columns = about_print(complete)
+    assert 6 <= rows.start < rows.stop <= 94 and 6 <= columns.start < columns.stop <= 94
