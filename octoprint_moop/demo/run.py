@@ -173,7 +173,7 @@ class Demo:
             fault_layer=self.fault_layer,
             fault=self.fault,
             mode=check.get("mode"),
-            reason=status["reason"] or check.get("reason") or status["blind"] or "",
+            reason=status["reason"] or check.get("reason") or ("" if check else status["blind"] or ""),
             failed_objects=tuple(o["name"] for o in check.get("objects", ()) if o["verdict"] == "failed"),
             checks=status["checks"],
             state=state,
