@@ -14,7 +14,6 @@ from octoprint.plugin import BlueprintPlugin
 from .core.errors import RecordingError
 from .core.settings import DEFAULTS, read_value
 from .machine.link import EyeLink
-from .machine.recording import Recording
 from .routes import body, picture_response
 
 REPLAY_S = 1800.0
@@ -48,11 +47,7 @@ class MoopPastApi(BlueprintPlugin):
     def get_past_picture(self, name: str, check_id: int, kind: str) -> Any:
         """frame.jpg as it was taken; seen.png, expected.png, ignored.png as the last replay found them."""
         folder = self._recording(name)
-        if kind == "frame.jpg":
-            moments = Recording.open(folder).moments
-            path = folder / moments[check_id].frame if check_id < len(moments) else folder
-        else:
-            path = self._masks(name) / f"{check_id}.{kind}"
+        path = _frame(folder, check_id) if kind == "frame.jpg" else self._masks(name) / f"{check_id}.{kind}"
         if kind not in ("frame.jpg", *(f"{mask}.png" for mask in MASKS)) or not path.is_file():
             flask.abort(404, "There is no such picture.")
         return picture_response(path.read_bytes(), "image/jpeg" if kind == "frame.jpg" else "image/png")
@@ -78,3 +73,16 @@ class MoopPastApi(BlueprintPlugin):
 
     def _masks(self, name: str) -> Path:
         return self._recordings.parent / "cache" / "replay" / name
+
+
+def _frame(folder: Path, number: int) -> Path:
+    """Path of the recording's frame of that number; the folder itself where there is none, or its name leads out of it.
+
+    Read here and not by `machine.recording`, which loads OpenCV: the server must not.
+    """
+    try:
+        line = (folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()[number]
+        path = (folder / str(json.loads(line)["frame"])).resolve()
+    except (OSError, ValueError, LookupError, TypeError):
+        return folder
+    return path if path.parent == (folder / "frames").resolve() else folder

@@ -134,7 +134,7 @@ class PaintedWebcam:
                     "same": lambda: webcam._same,
                     "huge": lambda: cv2.imencode(".jpg", np.full((5500, 7300, 3), 120, np.uint8))[1].tobytes(),
                 }.get(answer, webcam.jpeg)()
-                webcam._same = webcam._same or body
+                webcam._same = body
                 try:
                     self.send_response(200)
                     self.send_header("Content-Type", "image/jpeg")

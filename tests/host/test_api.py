@@ -11,6 +11,7 @@ import pytest
 import requests
 
 from octoprint_moop.api import MoopApi
+from octoprint_moop.api_past import MoopPastApi
 from octoprint_moop.api_setup import MoopSetupApi
 from octoprint_moop.machine.recording import Recording
 
@@ -20,7 +21,7 @@ from .room import box_gcode, header
 def routes() -> list[tuple[str, str]]:
     """Every route that the plugin has, with something put in for its variables."""
     found = []
-    for mixin in (MoopApi, MoopSetupApi):
+    for mixin in (MoopApi, MoopSetupApi, MoopPastApi):
         for member in vars(mixin).values():
             for rules in getattr(member, "_blueprint_rules", {}).values():
                 for rule, options in rules:
@@ -47,7 +48,8 @@ def test_who_may_only_look_can_change_nothing(room):
         answer = requests.request(
             method, f"{room.server.url}/plugin/moop{route}", json={}, timeout=10, headers={"X-Api-Key": key}
         )
-        changes = method in ("POST", "DELETE") and route != "/segment/preview"
+        looks = route == "/segment/preview" or route.endswith("/replay")
+        changes = method in ("POST", "DELETE") and not looks
         assert (answer.status_code == 403) == (changes or route.startswith("/calibrate")), (route, answer.text)
 
 
@@ -134,6 +136,10 @@ def test_each_watched_print_leaves_a_recording_that_can_be_replayed_and_fetched(
         assert job.read_bytes() == path.read_bytes()
     live = [json.loads(line) for line in (tmp_path / kept["name"] / "checks.jsonl").read_text().splitlines()]
     assert [check["E"] for check in live] == [check["E"] for check in room.checks]
+    past = f"/plugin/moop/recordings/{kept['name']}/pictures"
+    frame = room.server.request("GET", f"{past}/2/frame.jpg").content
+    assert frame == (tmp_path / kept["name"] / "frames/000002.jpg").read_bytes()
+    assert room.server.request("GET", f"{past}/3/frame.jpg").status_code == 404
     without = room.server.request("GET", f"/plugin/moop/recordings/{kept['name']}.zip?pictures=0")
     assert not [name for name in zipfile.ZipFile(io.BytesIO(without.content)).namelist() if name.endswith(".jpg")]
     room.moop("DELETE", f"recordings/{kept['name']}")
