@@ -24,7 +24,7 @@ GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays
 OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
-LEAST_MOVE_PX = 2.0
+LEAST_SHIFT_PX, LEAST_MOVE_PX = 2.0, 5.0  # a corner that lifts looks like a print that moved by less
 TURNS_DEG = (0, -8, 8, -16, 16, -25, 25)
 
 
@@ -166,7 +166,7 @@ class _Scope:
         rest = self._standing & ~loose
         for turn_deg in TURNS_DEG:
             move = self._best_move(_turned(loose, turn_deg), rest)
-            far = move is not None and (move.distance_px >= LEAST_MOVE_PX or turn_deg)
+            far = move is not None and move.distance_px >= LEAST_MOVE_PX
             if far and (best is None or move.explained_ratio > best.explained_ratio):
                 best = move
         return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
@@ -190,7 +190,9 @@ class _Scope:
                 break
             lower = self._wanted & (self._layer_of < layer)
             move = self._best_move(covered(layer), lower)
-            if move and move.distance_px >= LEAST_MOVE_PX and (best is None or move.explained_ratio > best.explained_ratio + 0.03):
+            if not move or move.distance_px < LEAST_SHIFT_PX:
+                continue
+            if best is None or move.explained_ratio > best.explained_ratio + 0.03:
                 best = _Move(move.from_px, move.to_px, move.explained_ratio, layer)
         return best if best and best.explained_ratio >= 1.2 * EXPLAINED_RATIO else None
 

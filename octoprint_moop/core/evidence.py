@@ -28,7 +28,7 @@ WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 SPECK_PX = 6
 RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the looked-at window's width: how far off the print stray matter may begin
-HIDING_PX, AROUND_PX, HIDING_CHANGE = 60, 12, 9.0
+HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9.0, 0.3
 WHOLE = -1
 
 Window = tuple  # (slice, slice): rows and columns
@@ -160,7 +160,7 @@ def _hidden_px(
         return 0
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(there, look, about, HIDING_CHANGE, unknown=False)
-    if np.count_nonzero(changed) > 0.5 * np.count_nonzero(about):
+    if np.count_nonzero(changed) > min(HIDING_RATIO * np.count_nonzero(about), gone_px):
         return gone_px
     return int(np.count_nonzero(memory.looks_strange(there, look, gone)))
 

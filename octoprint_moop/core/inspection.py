@@ -23,7 +23,7 @@ from .view import View
 
 TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
-HIDDEN_RATIO = 0.02  # of the complete print, that nothing but an obstacle explains
+HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
