@@ -18,16 +18,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from octoprint_moop.core.assign import assignments
-from octoprint_moop.core.calibrate import Lens, calibrate_lens, lens_difference_px
+from octoprint_moop.core.calibration.assign import assignments
+from octoprint_moop.core.calibration.calibrate import Lens, calibrate_lens, lens_difference_px
+from octoprint_moop.core.calibration.chessboard import Board
+from octoprint_moop.core.calibration.markers import MarkerPlate, find_discs
+from octoprint_moop.core.calibration.plate import bed_middle_mm
+from octoprint_moop.core.calibration.pose import calibrate_pose
 from octoprint_moop.core.camera import Camera
-from octoprint_moop.core.chessboard import Board
 from octoprint_moop.core.errors import CalibrationError
 from octoprint_moop.core.header import Header
-from octoprint_moop.core.markers import MarkerPlate, find_discs
-from octoprint_moop.core.plate import bed_middle_mm
-from octoprint_moop.core.pose import calibrate_pose
-from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.core.segmentation.segment import HsvThresholds
 from tests.drawn import CONDITIONS, random_scene, volume_error_px
 
 _WRONG_PX = 3.0

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from octoprint_moop.core.camera import Camera
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Moment
 from octoprint_moop.core.toolpath import Role, Toolpath
 from octoprint_moop.machine.recording import Recording

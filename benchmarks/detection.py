@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.composited import FAULTS, NUISANCES, Base, Story  # noqa: E402
 from benchmarks.painted import PaintedStory  # noqa: E402
 from octoprint_moop.core.camera import Camera  # noqa: E402
-from octoprint_moop.core.decide import CAMERA_MOVED, FAILED, UNUSABLE  # noqa: E402
+from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, UNUSABLE  # noqa: E402
 from octoprint_moop.core.inspection import Check, Inspector  # noqa: E402
 from octoprint_moop.core.toolpath import Toolpath  # noqa: E402
 from octoprint_moop.machine.renderers import open_renderer  # noqa: E402

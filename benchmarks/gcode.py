@@ -20,7 +20,7 @@ from typing import Callable
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.gcode.read import read_gcode
 
 ONE_READING = """
 import json, re, sys, time

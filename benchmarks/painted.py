@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.composited import Picture
 from octoprint_moop.core.camera import BedMotion, Camera
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Moment, Printer
-from octoprint_moop.core.segment import HsvThresholds, hsv
+from octoprint_moop.core.segmentation.segment import HsvThresholds, hsv
 from octoprint_moop.core.toolpath import Toolpath
 from octoprint_moop.demo.faults import KINDS, Fault
 from octoprint_moop.demo.painter import Light

@@ -26,8 +26,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from octoprint_moop.core.camera import BedMotion, Camera
-from octoprint_moop.core.expected import ExpectedViews, MaskRenderer
-from octoprint_moop.core.raster import CvRenderer
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.expected.views import ExpectedViews, MaskRenderer
 from octoprint_moop.core.toolpath import NO_OBJECT, Role, Toolpath
 from octoprint_moop.machine.renderers import open_renderer
 

@@ -28,11 +28,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from octoprint_moop.core.adaptive import AdaptiveSegmenter
-from octoprint_moop.core.expected import ExpectedViews
-from octoprint_moop.core.gcode import read_gcode
-from octoprint_moop.core.labelled import learn_from_clicks, learn_from_label
-from octoprint_moop.core.segment import ThresholdSegmenter, segment_hsv, thresholds_of
+from octoprint_moop.core.expected.views import ExpectedViews
+from octoprint_moop.core.gcode.read import read_gcode
+from octoprint_moop.core.segmentation.adaptive import AdaptiveSegmenter
+from octoprint_moop.core.segmentation.labelled import learn_from_clicks, learn_from_label
+from octoprint_moop.core.segmentation.segment import ThresholdSegmenter, segment_hsv, thresholds_of
 from octoprint_moop.machine.recording import Recording
 from octoprint_moop.machine.renderers import open_renderer
 

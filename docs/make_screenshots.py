@@ -16,9 +16,8 @@ from playwright.sync_api import sync_playwright
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.browser.stage import DARK, FLAGS, ONE_COLUMN, chromium_path, log_in, wait_for_page  # noqa: E402
-
 from octoprint_moop.demo.run import Demo  # noqa: E402
+from tests.browser.stage import DARK, FLAGS, ONE_COLUMN, chromium_path, log_in, wait_for_page  # noqa: E402
 
 WIDE, NARROW = {"width": 1280, "height": 1000}, {"width": 400, "height": 800}
 

@@ -13,7 +13,7 @@ __plugin_hooks__: dict[str, object]
 
 
 def __plugin_load__() -> None:
-    from .plugin import MoopPlugin
+    from .host.plugin import MoopPlugin
 
     global __plugin_implementation__, __plugin_hooks__
     plugin = MoopPlugin()

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from octoprint_moop.core.calibrate import Lens
+from octoprint_moop.core.calibration.calibrate import Lens
+from octoprint_moop.core.calibration.markers import MarkerPlate
+from octoprint_moop.core.calibration.plate import PlateSettings, bed_middle_mm, place_markers
 from octoprint_moop.core.camera import Camera
+from octoprint_moop.core.expected.lens import outermost_ray
 from octoprint_moop.core.header import Printer
-from octoprint_moop.core.lens import outermost_ray
-from octoprint_moop.core.markers import MarkerPlate
-from octoprint_moop.core.plate import PlateSettings, bed_middle_mm, place_markers
-from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.core.segmentation.segment import HsvThresholds
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 CONDITIONS = ("plain", "out of hue", "clutter", "print between", "one hidden", "noisy")

@@ -6,7 +6,7 @@ import gzip
 import json
 from pathlib import Path
 
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Printer
 from octoprint_moop.demo.run import BED, JOB, MATERIAL, demo_camera
 from octoprint_moop.demo.simulate import Scene

@@ -19,11 +19,10 @@ ROOMS = {
     "cli": ({"core", "machine", "demo"}, {"numpy", "cv2", "click"}),
     "host": ({"core", "machine"}, {"octoprint", "flask", "flask_babel", "click"}),
 }
-HOST = {"plugin", "api", "api_setup", "routes"}  # the modules that OctoPrint loads
 # the one place for each library that is not everybody's
 ALONE = {
-    "core/solid.py": {"trimesh"},
-    "core/plate_mesh.py": {"trimesh"},
+    "core/expected/solid.py": {"trimesh"},
+    "core/calibration/plate_mesh.py": {"trimesh"},
     "machine/gl.py": {"moderngl"},
     "machine/webcam.py": {"octoprint"},
     "demo/make_job.py": {"trimesh"},
@@ -36,10 +35,6 @@ NOT_AT_ONCE = {"numpy", "cv2", "trimesh", "moderngl"}  # a broken wheel must not
 
 def modules() -> list[Path]:
     return sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
-
-
-def room_of(name: str) -> str:
-    return "host" if name in HOST else name
 
 
 def imported(path: Path, everywhere: bool = True) -> tuple[set[str], set[str]]:
@@ -61,16 +56,16 @@ def imported(path: Path, everywhere: bool = True) -> tuple[set[str], set[str]]:
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_a_module_imports_only_from_rooms_below_its_own(path):
-    room = room_of(path.relative_to(PACKAGE).with_suffix("").parts[0])
+    room = path.relative_to(PACKAGE).parts[0]
     allowed_rooms, allowed_packages = ROOMS[room]
     allowed_packages = allowed_packages | ALONE.get(path.relative_to(PACKAGE).as_posix(), set())
     rooms, others = imported(path)
-    assert {room_of(name) for name in rooms} - {room} <= allowed_rooms
+    assert rooms - {room} <= allowed_rooms
     if STANDARD is not None:
         assert others - STANDARD <= allowed_packages
 
 
-@pytest.mark.parametrize("name", ["plugin.py", "api.py", "__init__.py"])
+@pytest.mark.parametrize("name", ["host/plugin.py", "host/api.py", "__init__.py"])
 def test_what_octoprint_loads_needs_no_native_library(name):
     """Followed through this package's own modules, as the import system does."""
     seen, waiting = set(), [PACKAGE / name]

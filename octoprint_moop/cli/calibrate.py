@@ -13,7 +13,7 @@ import numpy as np
 from ..core.errors import CalibrationError, FrameError
 
 if TYPE_CHECKING:
-    from ..core.pose import PoseResult
+    from ..core.calibration.pose import PoseResult
 
 
 def read_picture(path: str) -> np.ndarray:
@@ -53,8 +53,8 @@ def lens(
     images: tuple[str, ...], corners: str, square_mm: float, model: str, output: str | None, as_json: bool
 ) -> None:
     """The lens, from about 12 IMAGES of a checkerboard tilted in different ways."""
-    from ..core.chessboard import Board
-    from ..core.calibrate import calibrate_lens
+    from ..core.calibration.calibrate import calibrate_lens
+    from ..core.calibration.chessboard import Board
 
     board = Board.parse(corners, square_mm)
     result = calibrate_lens([(path, read_picture(path)) for path in images], board, model)
@@ -91,9 +91,9 @@ def pose(
     output: str | None, as_json: bool,
 ) -> None:  # fmt: skip
     """The camera's pose, from an IMAGE of the marker plate on the bed."""
-    from ..core.calibrate import Lens
-    from ..core.markers import MarkerPlate
-    from ..core.pose import calibrate_pose, calibrate_pose_any_colour
+    from ..core.calibration.calibrate import Lens
+    from ..core.calibration.markers import MarkerPlate
+    from ..core.calibration.pose import calibrate_pose, calibrate_pose_any_colour
 
     plate = MarkerPlate.from_json(read_json(markers_path))
     lens_found = Lens.from_json(read_json(lens_path))
@@ -125,7 +125,7 @@ def report_pose(result: PoseResult, what: str, output: str | None, as_json: bool
 
 def parse_colour(hue: str, saturation_min: float, value_min: float) -> Any:
     """HsvThresholds from "18,47". Raises SegmentationError, or CalibrationError where it is no pair of numbers."""
-    from ..core.segment import HsvThresholds
+    from ..core.segmentation.segment import HsvThresholds
 
     try:
         low, high = (float(part) % 360 if float(part) != 360 else 360.0 for part in hue.split(","))
@@ -145,8 +145,8 @@ def points(
     image: str, points_path: str, lens_path: str | None, click_px: float, output: str | None, as_json: bool
 ) -> None:
     """The camera's pose, from POINTS clicked on an IMAGE: a JSON list of {"mm": [x, y, z], "px": [u, v]}."""
-    from ..core.calibrate import Lens
-    from ..core.clicks import Points, pose_from_points
+    from ..core.calibration.calibrate import Lens
+    from ..core.calibration.clicks import Points, pose_from_points
 
     clicked = Points.from_json(read_json(points_path))
     lens_found = None if lens_path is None else Lens.from_json(read_json(lens_path))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from ..core.gcode import read_gcode
+from ..core.gcode.read import read_gcode
 from ..core.toolpath import Toolpath
 
 LONG_S = 1.0  # reading that takes longer shows how far it is

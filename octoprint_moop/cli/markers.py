@@ -40,9 +40,9 @@ def markers(
     output: str, as_json: bool,
 ) -> None:  # fmt: skip
     """Make the marker plate (G-code and markers.json), or a model with markers around it."""
-    from ..core.board import board_svg
-    from ..core.chessboard import Board
-    from ..core.plate import PlateSettings, plate_gcode
+    from ..core.calibration.board import board_svg
+    from ..core.calibration.chessboard import Board
+    from ..core.calibration.plate import PlateSettings, plate_gcode
 
     printer = _printer(profile, bed_mm, origin, nozzle_mm, filament_mm)
     settings = PlateSettings(
@@ -56,7 +56,7 @@ def markers(
         printed = folder / "markers.gcode"
         printed.write_text(gcode, encoding="utf-8")
     else:
-        from ..core.plate_mesh import model_with_markers
+        from ..core.calibration.plate_mesh import model_with_markers
 
         mesh, plate = model_with_markers(model, printer, settings)
         printed = folder / f"{Path(model).stem}-markers.stl"
@@ -84,8 +84,8 @@ def _text(path: str | None) -> str | None:
 def _printer(
     profile: str | None, bed_mm: str | None, origin: str | None, nozzle_mm: float | None, filament_mm: float | None
 ) -> Printer:
+    from ..core.calibration.plate import printer_from_profile
     from ..core.header import Printer
-    from ..core.plate import printer_from_profile
 
     if profile is not None:
         printer = printer_from_profile(read_json(profile))

@@ -8,10 +8,10 @@ import click
 import cv2
 
 from ..core.errors import MoopError, RecordingError
-from ..core.expected import ExpectedViews
-from ..core.gcode import read_gcode
-from ..core.meshroad import MeshRoad
-from ..core.solid import read_solid
+from ..core.expected.meshroad import MeshRoad
+from ..core.expected.solid import read_solid
+from ..core.expected.views import ExpectedViews
+from ..core.gcode.read import read_gcode
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
 

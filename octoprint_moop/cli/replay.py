@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from ..core.errors import SettingsError
-from ..core.gcode import read_gcode
+from ..core.gcode.read import read_gcode
 from ..core.inspection import Check, Inspector, Summary
 from ..core.settings import Settings, read_value
 from ..machine.recording import Recording

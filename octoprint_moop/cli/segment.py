@@ -10,9 +10,9 @@ import numpy as np
 
 from ..core.camera import Camera
 from ..core.errors import FrameError, SegmentationError
-from ..core.gcode import read_gcode
+from ..core.gcode.read import read_gcode
 from ..core.inspection import Inspector
-from ..core.labelled import LOOK_ALIKE, LearnedFilament, learn_from_label
+from ..core.segmentation.labelled import LOOK_ALIKE, LearnedFilament, learn_from_label
 from ..machine.recording import Recording, read_frame
 from ..machine.renderers import open_renderer
 from .mask import write_png

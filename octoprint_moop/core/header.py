@@ -7,7 +7,7 @@ from typing import Any, Mapping
 
 from .camera import BedMotion, Camera
 from .errors import CameraError, RecordingError
-from .segment import HsvThresholds
+from .segmentation.segment import HsvThresholds
 
 FORMAT = "moop-recording"
 VERSION = 1

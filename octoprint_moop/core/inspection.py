@@ -9,17 +9,30 @@ from typing import Any, Callable
 import cv2
 import numpy as np
 
-from .compare import Comparison, compare
-from .decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Outcome, Track, accept, blame, judge, learn, pardon
-from .diagnose import Diagnosis, diagnose
+from .decision.compare import Comparison, compare
+from .decision.decide import (
+    CAMERA_MOVED,
+    FAILED,
+    OK,
+    SUSPECT,
+    UNUSABLE,
+    Outcome,
+    Track,
+    accept,
+    blame,
+    judge,
+    learn,
+    pardon,
+)
+from .decision.diagnose import Diagnosis, diagnose
+from .decision.evidence import Findings, Sight, find
 from .errors import FrameError, SegmentationError
-from .evidence import Findings, Sight, find
-from .expected import Expected, MaskRenderer
-from .hardware import HeadModel
+from .expected.hardware import HeadModel
+from .expected.views import Expected, MaskRenderer
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
-from .view import View
+from .view.view import View
 
 TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..core.camera import BedMotion, Camera
 from ..core.errors import MoopError
-from ..core.gcode import read_gcode
+from ..core.gcode.read import read_gcode
 from ..core.header import Header, Printer
-from ..core.segment import HsvThresholds
+from ..core.segmentation.segment import HsvThresholds
 from ..core.toolpath import Toolpath
 from . import notebook
 from .faults import KINDS, Fault

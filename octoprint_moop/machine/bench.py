@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 
 from ..core.header import Header, Printer
-from ..core.segment import HsvThresholds, segment_hsv
+from ..core.segmentation.segment import HsvThresholds, segment_hsv
 from .pictures import decode, encode_mask
 
 Answer = tuple[dict[str, Any], list[bytes]]
@@ -30,15 +30,15 @@ def validate(blobs: list[bytes], header: dict[str, Any]) -> Answer:
 
 def printer(blobs: list[bytes], profile: dict[str, Any]) -> Answer:
     """A header's `printer`, from OctoPrint's printer profile."""
-    from ..core.plate import printer_from_profile
+    from ..core.calibration.plate import printer_from_profile
 
     return printer_from_profile(profile).to_json(), []
 
 
 def markers(blobs: list[bytes], printer: dict[str, Any], plate: dict[str, Any]) -> Answer:
     """G-code of a marker plate for this printer, and where its markers will lie. plate: fields of PlateSettings."""
+    from ..core.calibration.plate import PlateSettings, plate_gcode
     from ..core.errors import CalibrationError
-    from ..core.plate import PlateSettings, plate_gcode
 
     try:
         settings = PlateSettings(**plate)
@@ -50,15 +50,15 @@ def markers(blobs: list[bytes], printer: dict[str, Any], plate: dict[str, Any]) 
 
 def board_picture(blobs: list[bytes], board: str, square_mm: float) -> Answer:
     """A checkerboard to print on paper, SVG."""
-    from ..core.board import board_svg
-    from ..core.chessboard import Board
+    from ..core.calibration.board import board_svg
+    from ..core.calibration.chessboard import Board
 
     return {}, [board_svg(Board.parse(board, square_mm)).encode()]
 
 
 def find_board(blobs: list[bytes], board: str, square_mm: float) -> Answer:
     """Whether and where a checkerboard is seen: corners_px, null where it is not."""
-    from ..core.chessboard import Board, find_corners
+    from ..core.calibration.chessboard import Board, find_corners
 
     frame = decode(blobs[0])
     corners_px = find_corners(frame, Board.parse(board, square_mm))
@@ -68,8 +68,8 @@ def find_board(blobs: list[bytes], board: str, square_mm: float) -> Answer:
 
 def lens(blobs: list[bytes], names: list[str], board: str, square_mm: float) -> Answer:
     """The lens, from pictures of a checkerboard: `moop calibrate lens --json`."""
-    from ..core.calibrate import calibrate_lens
-    from ..core.chessboard import Board
+    from ..core.calibration.calibrate import calibrate_lens
+    from ..core.calibration.chessboard import Board
 
     pictures = [(name, decode(blob)) for name, blob in zip(names, blobs)]
     return calibrate_lens(pictures, Board.parse(board, square_mm), "auto").to_json(), []
@@ -79,9 +79,9 @@ def pose(
     blobs: list[bytes], lens: dict[str, Any], markers: dict[str, Any], material: dict[str, Any] | None = None
 ) -> Answer:
     """The camera's place, from a picture of the marker plate: `moop calibrate pose --json`."""
-    from ..core.calibrate import Lens
-    from ..core.markers import MarkerPlate
-    from ..core.pose import calibrate_pose, calibrate_pose_any_colour
+    from ..core.calibration.calibrate import Lens
+    from ..core.calibration.markers import MarkerPlate
+    from ..core.calibration.pose import calibrate_pose, calibrate_pose_any_colour
 
     frame, lens_found, plate = decode(blobs[0]), Lens.from_json(lens), MarkerPlate.from_json(markers)
     if material is None:
@@ -91,8 +91,8 @@ def pose(
 
 def points(blobs: list[bytes], points: Any, lens: dict[str, Any] | None = None, click_px: float = 2.0) -> Answer:
     """The camera's place, from points clicked on a picture: `moop calibrate points --json`."""
-    from ..core.calibrate import Lens
-    from ..core.clicks import Points, pose_from_points
+    from ..core.calibration.calibrate import Lens
+    from ..core.calibration.clicks import Points, pose_from_points
 
     height, width = decode(blobs[0]).shape[:2]
     found = None if lens is None else Lens.from_json(lens)
@@ -101,8 +101,8 @@ def points(blobs: list[bytes], points: Any, lens: dict[str, Any] | None = None, 
 
 def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) -> Answer:
     """The bed's grid and a box on it as this camera sees them, for a person to compare with the picture."""
+    from ..core.calibration.guides import guides as find_guides
     from ..core.camera import Camera
-    from ..core.guides import guides as find_guides
 
     lines = find_guides(Camera.from_json(camera), Printer.from_json(printer))
     return {"lines": [line.to_json() for line in lines]}, []
@@ -116,7 +116,7 @@ def replay(blobs: list[bytes], recording: str, material: dict[str, Any], setting
     from dataclasses import replace
     from pathlib import Path
 
-    from ..core.gcode import read_gcode
+    from ..core.gcode.read import read_gcode
     from ..core.inspection import Inspector, Summary
     from ..core.settings import read_settings
     from .recording import Recording

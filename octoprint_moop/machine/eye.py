@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Any
 import cv2
 
 from ..core.errors import MoopError
-from ..core.gcode import read_gcode
+from ..core.expected.raster import CvRenderer
+from ..core.gcode.read import read_gcode
 from ..core.header import Header, Moment
 from ..core.inspection import Inspector
-from ..core.raster import CvRenderer
 from ..core.settings import read_settings
 from . import bench
 from .bench import Answer

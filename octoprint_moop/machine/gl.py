@@ -15,11 +15,11 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from ..core.beads import DRAWN_BEAD, drawn_beads, straight_mm
 from ..core.camera import Camera
 from ..core.errors import RenderError
-from ..core.lens import outermost_ray, shown, tilt
-from ..core.solid import Solid
+from ..core.expected.beads import DRAWN_BEAD, drawn_beads, straight_mm
+from ..core.expected.lens import outermost_ray, shown, tilt
+from ..core.expected.solid import Solid
 from ..core.toolpath import Toolpath
 
 CHUNK = 1 << 15  # instances a draw call: bounds graphics memory and the time for which moderngl holds the GIL

@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from ..core.errors import RenderError
-from ..core.raster import CvRenderer
+from ..core.expected.raster import CvRenderer
 
 if TYPE_CHECKING:
     from .gl import GlRenderer

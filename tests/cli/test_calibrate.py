@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from octoprint_moop.cli import main
-from octoprint_moop.core.calibrate import Lens
+from octoprint_moop.core.calibration.calibrate import Lens
+from octoprint_moop.core.calibration.plate import PlateSettings, place_markers
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.header import Header, Printer
-from octoprint_moop.core.plate import PlateSettings, place_markers
 from tests.drawn import draw_plate, volume_error_px
 from tests.made import camera_at
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from octoprint_moop.core.evidence import Findings, Sight, find
-from octoprint_moop.core.expected import Expected, PrintMap
-from octoprint_moop.core.memory import Memory
+from octoprint_moop.core.decision.evidence import Findings, Sight, find
+from octoprint_moop.core.decision.memory import Memory
+from octoprint_moop.core.expected.views import Expected, PrintMap
 
 SHAPE = (240, 320)
 GROUND, LAYER_PX, LAYERS = 180, 2, 40

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.adaptive import AdaptiveSegmenter
-from octoprint_moop.core.expected import Expected
-from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.core.expected.views import Expected
+from octoprint_moop.core.segmentation.adaptive import AdaptiveSegmenter
+from octoprint_moop.core.segmentation.segment import HsvThresholds
 
 ORANGE, GREY = (40, 120, 235), (60, 58, 62)
 LAYERS, LAYER_PX, BED_ROW = 20, 4, 110

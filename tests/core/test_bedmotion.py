@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.bedmotion import measure_bed_motion
+from octoprint_moop.core.calibration.bedmotion import measure_bed_motion
+from octoprint_moop.core.calibration.plate import PlateSettings, place_markers
 from octoprint_moop.core.errors import CalibrationError
 from octoprint_moop.core.header import Printer
-from octoprint_moop.core.plate import PlateSettings, place_markers
 from tests.drawn import draw_plate
 from tests.made import camera_at
 

@@ -10,9 +10,9 @@ import pytest
 
 from octoprint_moop.core.camera import BedMotion, Camera
 from octoprint_moop.core.errors import CameraError
-from octoprint_moop.core.lens import outermost_ray, radial_px, tilt
-from octoprint_moop.core.orientation import Orientation
-from octoprint_moop.core.raster import CvRenderer
+from octoprint_moop.core.expected.lens import outermost_ray, radial_px, tilt
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.view.orientation import Orientation
 from tests.made import LENSES, camera_at, vase
 
 POINTS = np.random.default_rng(3).uniform((60, 60, 0), (140, 140, 40), (200, 3))

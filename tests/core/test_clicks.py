@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from octoprint_moop.core.calibrate import Lens
-from octoprint_moop.core.clicks import Points, bed_corners_mm, pose_from_points
+from octoprint_moop.core.calibration.calibrate import Lens
+from octoprint_moop.core.calibration.clicks import Points, bed_corners_mm, pose_from_points
 from octoprint_moop.core.errors import CalibrationError
 from tests.drawn import volume_error_px
 from tests.made import camera_at

@@ -5,10 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from octoprint_moop.core.decide import (
-    CUSUM_FAILED, FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, Track, accept, blame, judge, learn, pardon,
+from octoprint_moop.core.decision.decide import (
+    CUSUM_FAILED,
+    FAILED,
+    MATTER_LIMIT_RATIO,
+    OK,
+    SUSPECT,
+    Track,
+    accept,
+    blame,
+    judge,
+    learn,
+    pardon,
 )  # fmt: skip
-from octoprint_moop.core.evidence import WHOLE, Evidence
+from octoprint_moop.core.decision.evidence import WHOLE, Evidence
 
 TOTAL_PX = 20_000
 LIMIT_PX = int(MATTER_LIMIT_RATIO * TOTAL_PX)

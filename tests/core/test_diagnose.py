@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from octoprint_moop.core.decide import FAILED, Outcome, Surprise
-from octoprint_moop.core.diagnose import diagnose
-from octoprint_moop.core.evidence import WHOLE, find
+from octoprint_moop.core.decision.decide import FAILED, Outcome, Surprise
+from octoprint_moop.core.decision.diagnose import diagnose
+from octoprint_moop.core.decision.evidence import WHOLE, find
 
 from .stage import GROUND, LAYER_PX, PX_PER_MM, SHAPE, Stage, moved, wall, walls
 

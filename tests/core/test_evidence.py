@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from octoprint_moop.core.evidence import about_print, near_to, without_specks
+from octoprint_moop.core.decision.evidence import about_print, near_to, without_specks
 
 from .stage import LAYER_PX, SHAPE, Stage, moved, wall, walls
 
@@ -86,7 +86,7 @@ def test_what_hides_the_print_is_told_from_what_is_gone():
     sight = stage.sight(12, walls(12))
     sight.frame_bgr[100:200, 80:160] = (120, 150, 200)
     sight.observed[100:200, 80:160] = 0
-    from octoprint_moop.core.evidence import find
+    from octoprint_moop.core.decision.evidence import find
 
     found = find(sight, stage.memory)
     assert found.hidden_px > 1000

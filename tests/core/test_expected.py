@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core import expected as module
 from octoprint_moop.core.camera import BedMotion
 from octoprint_moop.core.errors import RecordingError, SettingsError
-from octoprint_moop.core.expected import ExpectedViews
-from octoprint_moop.core.hardware import Box, HeadModel
+from octoprint_moop.core.expected import views as module
+from octoprint_moop.core.expected.hardware import Box, HeadModel
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.expected.views import ExpectedViews
 from octoprint_moop.core.header import Header, Moment, Printer
-from octoprint_moop.core.raster import CvRenderer
 from octoprint_moop.core.toolpath import Role
-from octoprint_moop.core.view import View
+from octoprint_moop.core.view.view import View
 from tests.made import camera_at, toolpath_of, vase
 
 CAMERA = camera_at((100, -80, 90), (100, 100, 5), "5 coefficients")
@@ -215,7 +215,7 @@ CASES = ["cube-clean", "detach-bedslinger", "dtu-paper", "multi-object"]
 
 @pytest.mark.parametrize("case", CASES)
 def test_rendered_truth_is_met(shared, case):
-    gcode = pytest.importorskip("octoprint_moop.core.gcode")
+    gcode = pytest.importorskip("octoprint_moop.core.gcode.read")
     folder = shared / "cases" / case
     header = Header.from_json(json.loads((folder / "recording.json").read_text()))
     fault = json.loads((folder / "truth.json").read_text())["fault"]

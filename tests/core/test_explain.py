@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.appearance import ColourModel, count_colours, evidence, opponent
-from octoprint_moop.core.explain import explain
-from octoprint_moop.core.weigh import Look, weigh
+from octoprint_moop.core.segmentation.appearance import ColourModel, count_colours, evidence, opponent
+from octoprint_moop.core.segmentation.explain import explain
+from octoprint_moop.core.segmentation.weigh import Look, weigh
 
 
 def block(top: int = 60, left: int = 100, bottom: int = 160, right: int = 180) -> np.ndarray:

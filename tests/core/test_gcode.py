@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.errors import GcodeError
-from octoprint_moop.core.gcode import read_gcode, read_gcode_bytes
+from octoprint_moop.core.gcode.read import read_gcode, read_gcode_bytes
 
 
 @pytest.mark.parametrize("case", ["cube-clean", "detach-bedslinger", "dtu-paper", "multi-object"])

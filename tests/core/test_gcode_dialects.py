@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from octoprint_moop.core.dialects import Feature, Height, Label, Layer, Width, meaning
-from octoprint_moop.core.gcode import read_gcode, read_gcode_bytes
+from octoprint_moop.core.gcode.dialects import Feature, Height, Label, Layer, Width, meaning
+from octoprint_moop.core.gcode.read import read_gcode, read_gcode_bytes
 from octoprint_moop.core.toolpath import Role
 
 # What the slicers' own comments say, found by eye or by the patterns below: layers, millimetres of filament, objects.

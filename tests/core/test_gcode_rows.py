@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octoprint_moop.core import gcode
 from octoprint_moop.core.errors import GcodeError
-from octoprint_moop.core.gcode import looks_relative, read_gcode_bytes
-from octoprint_moop.core.rows import OTHER, split
+from octoprint_moop.core.gcode import read as gcode
+from octoprint_moop.core.gcode.read import looks_relative, read_gcode_bytes
+from octoprint_moop.core.gcode.rows import OTHER, split
 
 from .plain_reader import plain_read
 

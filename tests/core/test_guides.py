@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from octoprint_moop.core.calibration.guides import BOX_MM, guides
 from octoprint_moop.core.camera import Camera
-from octoprint_moop.core.guides import BOX_MM, guides
 from octoprint_moop.core.header import Printer
 
 

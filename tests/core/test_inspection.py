@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.inspection import Inspector
-from octoprint_moop.core.raster import CvRenderer
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.machine.recording import Recording
 

@@ -10,10 +10,10 @@ import gzip
 import pytest
 
 from octoprint_moop.core.camera import BedMotion
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Moment, Printer
 from octoprint_moop.core.inspection import Check, Inspector
-from octoprint_moop.core.raster import CvRenderer
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.demo.run import JOB, MATERIAL, demo_camera
 from octoprint_moop.demo.simulate import Scene

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.errors import SegmentationError
-from octoprint_moop.core.labelled import LOOK_ALIKE, learn_from_clicks, learn_from_label
+from octoprint_moop.core.segmentation.labelled import LOOK_ALIKE, learn_from_clicks, learn_from_label
 
 BED, FILAMENT = (60, 58, 62), (40, 120, 235)
 

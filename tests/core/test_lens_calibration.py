@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.board import board_svg
-from octoprint_moop.core.calibrate import Lens, calibrate_lens, lens_difference_px
-from octoprint_moop.core.chessboard import Board
+from octoprint_moop.core.calibration.board import board_svg
+from octoprint_moop.core.calibration.calibrate import Lens, calibrate_lens, lens_difference_px
+from octoprint_moop.core.calibration.chessboard import Board
 from octoprint_moop.core.errors import CalibrationError, CameraError
 from octoprint_moop.core.header import Header
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.light import Light
+from octoprint_moop.core.view.light import Light
 
 
 @pytest.fixture

@@ -7,16 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from octoprint_moop.core.calibrate import Lens
+from octoprint_moop.core.calibration.calibrate import Lens
+from octoprint_moop.core.calibration.markers import find_discs
+from octoprint_moop.core.calibration.plate import PlateSettings, plate_gcode, printer_from_profile
+from octoprint_moop.core.calibration.plate_mesh import model_with_markers
+from octoprint_moop.core.calibration.pose import calibrate_pose
 from octoprint_moop.core.errors import CalibrationError, MeshError, RecordingError
-from octoprint_moop.core.gcode import read_gcode_bytes
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.gcode.read import read_gcode_bytes
 from octoprint_moop.core.header import Printer
-from octoprint_moop.core.markers import find_discs
-from octoprint_moop.core.plate import PlateSettings, plate_gcode, printer_from_profile
-from octoprint_moop.core.plate_mesh import model_with_markers
-from octoprint_moop.core.pose import calibrate_pose
-from octoprint_moop.core.raster import CvRenderer
-from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.core.segmentation.segment import HsvThresholds
 from tests.drawn import volume_error_px
 from tests.made import camera_at
 

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.calibrate import Lens
+from octoprint_moop.core.calibration.calibrate import Lens
+from octoprint_moop.core.calibration.markers import MarkerPlate, circle_poses, find_discs
+from octoprint_moop.core.calibration.plate import PlateSettings, place_markers
+from octoprint_moop.core.calibration.pose import PoseResult, calibrate_pose, calibrate_pose_any_colour, roll_deg
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.errors import CalibrationError, CameraError
 from octoprint_moop.core.header import Header, Printer
-from octoprint_moop.core.markers import MarkerPlate, circle_poses, find_discs
-from octoprint_moop.core.plate import PlateSettings, place_markers
-from octoprint_moop.core.pose import PoseResult, calibrate_pose, calibrate_pose_any_colour, roll_deg
-from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.core.segmentation.segment import HsvThresholds
 from tests.drawn import CONDITIONS, Scene, draw_plate, random_scene, volume_error_px
 from tests.made import camera_at
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.beads import drawn_beads
-from octoprint_moop.core.raster import CvRenderer
+from octoprint_moop.core.expected.beads import drawn_beads
+from octoprint_moop.core.expected.raster import CvRenderer
 from tests.made import LENSES, camera_at, toolpath_of, vase
 
 

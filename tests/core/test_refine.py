@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from octoprint_moop.core.expected import Expected
-from octoprint_moop.core.raster import CvRenderer
-from octoprint_moop.core.refine import SilhouetteView, refine_camera
+from octoprint_moop.core.calibration.refine import SilhouetteView, refine_camera
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.expected.views import Expected
 from tests.made import camera_at, toolpath_of
 
 TRUE = camera_at((100, -60, 120), (100, 100, 10), "5 coefficients")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.errors import SegmentationError
-from octoprint_moop.core.segment import (
+from octoprint_moop.core.segmentation.segment import (
     HsvThresholds,
     ThresholdSegmenter,
     segment_hsv,

@@ -12,11 +12,11 @@ import pytest
 import trimesh
 
 from octoprint_moop.core.errors import MeshError
-from octoprint_moop.core.expected import ExpectedViews
+from octoprint_moop.core.expected.meshroad import MeshRoad
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.expected.solid import Solid, printed_bounds_mm, read_solid
+from octoprint_moop.core.expected.views import ExpectedViews
 from octoprint_moop.core.header import Header
-from octoprint_moop.core.meshroad import MeshRoad
-from octoprint_moop.core.raster import CvRenderer
-from octoprint_moop.core.solid import Solid, printed_bounds_mm, read_solid
 from octoprint_moop.core.toolpath import Role
 from tests.made import LENSES, camera_at, toolpath_of, vase
 
@@ -245,7 +245,7 @@ def test_the_mesh_road_knows_the_layers_and_keeps_what_the_slicer_added():
 
 @pytest.mark.parametrize("case", ["cube-clean", "detach-bedslinger", "dtu-paper", "multi-object"])
 def test_mesh_and_gcode_agree_on_rendered_cases(shared, case):
-    gcode = pytest.importorskip("octoprint_moop.core.gcode")
+    gcode = pytest.importorskip("octoprint_moop.core.gcode.read")
     folder = shared / "cases" / case
     header = Header.from_json(json.loads((folder / "recording.json").read_text()))
     print_ = gcode.read_gcode(folder / "job.gcode")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.camera import BedMotion, Camera
-from octoprint_moop.core.stabilise import STILL, Stabiliser
+from octoprint_moop.core.view.stabilise import STILL, Stabiliser
 
 SIZE = (640, 480)
 BED_MM = (250.0, 210.0)

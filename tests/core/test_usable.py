@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.errors import FrameError
-from octoprint_moop.core.usable import Occluders, refuse_unusable
+from octoprint_moop.core.view.usable import Occluders, refuse_unusable
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.demo.run import unpack_job
 
 

@@ -18,11 +18,11 @@ import cv2
 import numpy as np
 
 from octoprint_moop.core.camera import BedMotion, Camera
-from octoprint_moop.core.expected import ExpectedViews
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.expected.raster import CvRenderer
+from octoprint_moop.core.expected.views import ExpectedViews
+from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Printer
-from octoprint_moop.core.raster import CvRenderer
-from octoprint_moop.core.segment import HsvThresholds
+from octoprint_moop.core.segmentation.segment import HsvThresholds
 from octoprint_moop.demo.server import DemoServer
 
 WIDTH, HEIGHT = 640, 480

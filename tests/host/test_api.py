@@ -10,9 +10,9 @@ import zipfile
 import pytest
 import requests
 
-from octoprint_moop.api import MoopApi
-from octoprint_moop.api_past import MoopPastApi
-from octoprint_moop.api_setup import MoopSetupApi
+from octoprint_moop.host.api import MoopApi
+from octoprint_moop.host.api_past import MoopPastApi
+from octoprint_moop.host.api_setup import MoopSetupApi
 from octoprint_moop.machine.recording import Recording
 
 from .room import box_gcode, header

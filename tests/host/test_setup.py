@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from octoprint_moop.core.gcode import read_gcode
+from octoprint_moop.core.gcode.read import read_gcode
 
 from .room import HEIGHT, WIDTH, camera, header
 

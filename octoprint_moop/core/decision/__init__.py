@@ -1,0 +1,1 @@
+"""Expected against observed: how far apart, what it means, and what it is called."""

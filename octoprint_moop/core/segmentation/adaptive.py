@@ -1,0 +1,154 @@
+"""The segmenter that learns this print's own look while all is well. The default."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..expected.views import Expected
+from .appearance import ColourModel, Plate, count_colours, every_colour, opponent
+from .segment import HsvThresholds, Observation, segment_hsv
+from .weigh import Look, weigh
+
+_BAND_PX = 2000.0  # how many pixels the user's thresholds count for: soon outweighed by what is really seen
+_MEMORY_PX = 200_000.0  # counts are scaled down beyond this, so that the colours follow the light of the day
+_CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
+_INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
+
+
+class AdaptiveSegmenter:
+    """Filament by this print's own colours and each pixel's own past; frames must come from one camera.
+
+    Begins with the user's thresholds; where there are none, with what differs from the empty bed where the first layers
+    must lie. It never learns that air is filament: a pixel teaches "filament" only where material must lie *and* the
+    frame shows it there.
+    """
+
+    def __init__(
+        self,
+        material: HsvThresholds | None,
+        reference_bgr: np.ndarray | None = None,
+        bed_moves: bool = False,
+    ) -> None:
+        """material : the user's thresholds, None where none are set; reference_bgr : (H, W, 3) uint8, the empty bed.
+
+        bed_moves : a pixel shows another part of the bed at each check, so that only colours can be learned
+        """
+        self._bed_moves = bed_moves
+        colours = None if reference_bgr is None else opponent(reference_bgr)
+        self._filament: np.ndarray | None = None
+        self._background = np.zeros(every_colour().shape[1])
+        if material is not None:
+            band = segment_hsv(every_colour(), material)[0] > 0
+            self._filament = band * (_BAND_PX / max(int(band.sum()), 1))
+        if colours is not None:
+            self._background = count_colours(colours, np.ones(colours.shape[:2], bool))
+        self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
+        self._model: ColourModel | None = None
+        self._separability = 1.0
+
+    @property
+    def separability(self) -> float:
+        """0..1: how well colour told filament from background when last asked, see ColourModel; 1 before."""
+        return self._separability
+
+    def observe(self, frame_bgr: np.ndarray, expected: Expected | None = None) -> Observation:
+        """frame_bgr : (H, W, 3) uint8; expected : what must be seen, None where nothing is known."""
+        region = _region(expected, frame_bgr.shape[:2])
+        x0, y0, x1, y1 = region
+        crop = np.ascontiguousarray(frame_bgr[y0:y1, x0:x1])
+        mask = None if expected is None else np.ascontiguousarray(expected.mask[y0:y1, x0:x1])
+        plate = None
+        if self._plate is not None and self._plate.known.shape == frame_bgr.shape[:2]:
+            plate = self._plate.part(region)
+        model = self._colours(frame_bgr, expected)
+        self._separability = model.separability
+        seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2], model), mask)
+        return seen.within(frame_bgr.shape[:2], region)
+
+    def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
+        """Take this frame's look as that of filament and background. Only after a check in which all was well."""
+        colours = opponent(frame_bgr)
+        inside = cv2.erode(expected.mask, np.ones((2 * _INSIDE_PX + 1,) * 2, np.uint8))
+        filament = (inside > 0) & (observed.mask > 0) & (observed.unsure == 0)
+        if self._plate is not None and self._plate.known.shape == filament.shape:
+            filament &= self._not_the_bed(colours)
+        outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
+        background = outside & (observed.mask == 0) & (observed.unsure == 0)
+        # its edge too, a mixture of both, and so is what lies just outside: there they must be told apart
+        edge = _grown(filament, _INSIDE_PX) & _grown(observed.mask > 0, 1) & (expected.mask > 0) & (inside == 0)
+        lies = filament | edge
+        beside = _grown(filament, 2 * _INSIDE_PX + 1) & ~outside & (expected.mask == 0)
+        if filament.any():
+            known = np.zeros_like(self._background) if self._filament is None else self._filament
+            self._filament = _remember(known, count_colours(colours, lies))
+        around = background & _inside(_region(expected, filament.shape), filament.shape)
+        # the few pixels beside the print count as much as all others: that is where the two must be told apart
+        fringe, rest = count_colours(colours, beside), count_colours(colours, around)
+        fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), 50.0)
+        self._background = _remember(self._background, fringe + rest)
+        self._model = None
+        if not self._bed_moves:
+            self._remember_plate(colours, filament, background)
+
+    def _not_the_bed(self, colours: np.ndarray) -> np.ndarray:
+        """(H, W) bool: False where the plate's background is seen unchanged."""
+        return (self._plate.known >= 0) | (_distance(colours, self._plate.colours) > _CHANGED)
+
+    def _remember_plate(self, colours: np.ndarray, filament: np.ndarray, background: np.ndarray) -> None:
+        known = np.zeros(colours.shape[:2], np.int8)
+        picture = colours.copy()
+        if self._plate is not None and self._plate.known.shape == known.shape:
+            known = self._plate.known.copy()
+            keep = ~(filament | background)
+            picture[keep] = self._plate.colours[keep]
+        known[background], known[filament] = -1, 1
+        self._plate = Plate(picture, known)
+
+    def _colours(self, frame_bgr: np.ndarray | None = None, expected: Expected | None = None) -> ColourModel:
+        """The colours learned; before any, those of this frame: matter where it must lie and the bed does not show."""
+        if frame_bgr is None or expected is None or (self._filament is not None and self._background.any()):
+            if self._model is None:
+                filament = np.zeros_like(self._background) if self._filament is None else self._filament
+                self._model = ColourModel(filament, self._background)
+            return self._model
+        colours, filament, background = opponent(frame_bgr), self._filament, self._background
+        if not background.any():
+            background = count_colours(colours, expected.complete == 0)
+        if filament is None:
+            lies = expected.mask > 0
+            if self._plate is not None and self._plate.known.shape == lies.shape:
+                lies &= self._not_the_bed(colours)
+            filament = count_colours(colours, lies)
+        return ColourModel(filament, background)
+
+
+def _inside(region: tuple[int, int, int, int], shape: tuple[int, int]) -> np.ndarray:
+    x0, y0, x1, y1 = region
+    inside = np.zeros(shape, bool)
+    inside[y0:y1, x0:x1] = True
+    return inside
+
+
+def _grown(mask: np.ndarray, by_px: int) -> np.ndarray:
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)) > 0
+
+
+def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:
+    counts = known + new
+    return counts * min(1.0, _MEMORY_PX / max(float(counts.sum()), 1.0))
+
+
+def _distance(colours: np.ndarray, others: np.ndarray) -> np.ndarray:
+    difference = cv2.blur(cv2.absdiff(colours, others), (3, 3)).astype(np.float32)
+    return np.sqrt((difference * difference).sum(axis=-1))
+
+
+def _region(expected: Expected | None, shape: tuple[int, int]) -> tuple[int, int, int, int]:
+    """The part of the view that is looked at: the complete print and a third of its size around; all without one."""
+    height, width = shape
+    x, y, w, h = (0, 0, 0, 0) if expected is None else cv2.boundingRect(expected.complete)
+    if not w:
+        return (0, 0, width, height)
+    margin = max(w, h) // 3 + 32
+    return (max(x - margin, 0), max(y - margin, 0), min(x + w + margin, width), min(y + h + margin, height))

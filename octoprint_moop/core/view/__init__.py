@@ -1,0 +1,1 @@
+"""What the camera sees, made comparable: usable, steady, and in one light."""

@@ -1,0 +1,241 @@
+"""One camera's view of one print: the frame made comparable, and what must be seen in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..camera import BedMotion, Camera
+from ..decision.memory import Memory
+from ..errors import FrameError
+from ..expected.hardware import HeadModel
+from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap
+from ..header import Moment, Printer
+from ..segmentation.adaptive import AdaptiveSegmenter
+from ..segmentation.segment import HsvThresholds, Segmenter, ThresholdSegmenter
+from ..toolpath import Toolpath
+from .light import Light
+from .stabilise import STILL, CameraTurn, Stabiliser
+from .usable import Occluders, refuse_unusable
+
+MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
+SAME_TURN_PX = 1.5
+SAME_POSE_MM = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyFrame:
+    """A frame as the calibrated camera would have seen it, in the reference's light.
+
+    frame   : (H, W, 3) uint8 BGR
+    outside : (H, W) uint8, 255 where the turned camera did not look
+    moved   : the sentence for the user where the camera has just been moved, else ""
+    """
+
+    frame: np.ndarray
+    outside: np.ndarray
+    moved: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The print before this camera at one moment; see `diagnose.Place`."""
+
+    toolpath: Toolpath
+    camera: Camera
+    bed: BedMotion
+    expected: ExpectedViews
+    moment: Moment
+
+    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+        """Raises RenderError where drawing fails."""
+        first, end = self.toolpath.layer_start[max(first_layer, 0)], self.toolpath.laid_at(self.moment.file_pos)
+        beads = np.arange(first, max(end, first))
+        if object_id >= 0:
+            beads = beads[self.toolpath.object_id[first:end] == object_id]
+        return self.expected.covered_at(self.moment.position_mm, beads)
+
+    def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
+        shift_mm = self.bed.room_from_print_mm(self.moment.position_mm)
+        rays_room = self.camera.rays(pixels) @ cv2.Rodrigues(self.camera.rvec)[0]
+        centre = self.camera.centre_mm
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = (z_mm + shift_mm[2] - centre[2]) / rays_room[:, 2]
+        return (centre + rays_room * depth[:, None] - shift_mm)[:, :2]
+
+    def layer_z_mm(self, layer: int) -> float:
+        return float(self.toolpath.layer_z_mm[layer])
+
+
+class View:
+    """Keeps one camera's reference and what its view looked like last. Frames must come in time order."""
+
+    def __init__(
+        self, camera: Camera, printer: Printer, toolpath: Toolpath, renderer: MaskRenderer,
+        material: HsvThresholds | None, segmentation: str, reference_bgr: np.ndarray | None,
+        head: HeadModel | None = None,
+    ) -> None:  # fmt: skip
+        self._camera, self._printer, self._toolpath = camera, printer, toolpath
+        self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
+        self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
+        self._bare_bgr = self._reference_bgr
+        self._reference_position_mm = printer.bed.reference_mm
+        self._material, self._segmentation = material, segmentation
+        self._previous_bgr: np.ndarray | None = None
+        self._turn = STILL  # the last turn that was accepted as where the camera now stands
+        self._pending = STILL
+        self._stabiliser: Stabiliser | None = None
+        self._followed_pose: tuple[float, ...] | None = None
+        self._memory: Memory | None = None
+        self._memory_position_mm = self._reference_position_mm
+
+    def expected(self, moment: Moment, before: int = 0) -> Expected:
+        """Raises RenderError where the expected mask cannot be drawn."""
+        return self._expected.at(
+            moment.file_pos, moment.position_mm, before, self._cancelled(moment), parked=moment.parked
+        )
+
+    def print_map(self, moment: Moment) -> PrintMap:
+        """Raises RenderError where drawing fails."""
+        return self._expected.map_at(
+            moment.position_mm, moment.file_pos, self._cancelled(moment), parked=moment.parked
+        )
+
+    def _cancelled(self, moment: Moment) -> dict[int, int]:
+        """By the objects' numbers; a name that the file does not know is passed over."""
+        named = dict(moment.cancelled)
+        return {number: named[name] for number, name in enumerate(self._toolpath.objects) if name in named}
+
+    def memory(self, moment: Moment) -> Memory:
+        """What the pixels have shown so far, carried along where the bed has moved since."""
+        if self._memory is None:
+            self._memory = Memory(self._bare_bgr, self._camera.image_size_px[::-1])
+            self._memory_position_mm = self._printer.bed.reference_mm if self._bare_bgr is not None else moment.position_mm
+        here, before = self._expected.pose(moment.position_mm), self._expected.pose(self._memory_position_mm)
+        if here != before:
+            self._memory.carried(self._print_motion(np.array(before), np.array(here)))
+        self._memory_position_mm = moment.position_mm
+        return self._memory
+
+    def _print_motion(self, before_mm: np.ndarray, now_mm: np.ndarray) -> np.ndarray:
+        """(3, 3): about where pixels of the print have gone as the bed moved. Exact for none but close for all of it."""
+        low, high = self._toolpath.bounds_mm()
+        box_mm = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, high[2])])
+        pixels = [self._camera.project(box_mm + shift_mm) for shift_mm in (before_mm, now_mm)]
+        if not np.isfinite(pixels).all():
+            return np.eye(3)
+        return cv2.findHomography(*pixels)[0]
+
+    def place(self, moment: Moment) -> Place:
+        """Where things lie at that moment, for a diagnosis."""
+        return Place(self._toolpath, self._camera, self._printer.bed, self._expected, moment)
+
+    def steady(self, frame_bgr: np.ndarray, moment: Moment) -> SteadyFrame:
+        """Raises FrameError with the reason where the frame cannot be used."""
+        frame_bgr = fit_frame(frame_bgr, self._camera)
+        refuse_unusable(frame_bgr, self._previous_bgr)
+        self._previous_bgr = frame_bgr
+        if self._stabiliser is None:
+            self._begin(frame_bgr, moment)
+        self._follow_bed(moment)
+        turn = self._stabiliser.turn(frame_bgr, moment.position_mm)
+        moved = self._notice(turn)
+        outside = np.zeros(frame_bgr.shape[:2], np.uint8)
+        if turn is not STILL:
+            frame_bgr, outside = self._stabiliser.undo(frame_bgr, turn)
+        frame_bgr, _ = self._light.level(frame_bgr)
+        return SteadyFrame(frame_bgr, outside, moved)
+
+    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
+        """(H, W) uint8, 255 where something newly hides the view."""
+        return self._occluders.find(steady.frame, filament | self._unknown)
+
+    def accept(self, steady: SteadyFrame) -> None:
+        """Nothing hides the view in this frame: later ones are compared with it."""
+        self._occluders.accept(steady.frame)
+
+    def _begin(self, frame_bgr: np.ndarray, moment: Moment) -> None:
+        """Without a picture of the empty bed the first frame serves: the print is left out of it anyway."""
+        if self._reference_bgr is None:
+            self._reference_bgr, self._reference_position_mm = frame_bgr, moment.position_mm
+        exclude = self.expected(moment).complete
+        self._stabiliser = Stabiliser(
+            self._camera, self._printer.bed, (self._printer.width_mm, self._printer.depth_mm), self._reference_bgr,
+            self._reference_position_mm, exclude,
+        )  # fmt: skip
+        self.segmenter = self._choose_segmenter(moment)
+
+    def _choose_segmenter(self, moment: Moment) -> Segmenter:
+        if self._segmentation == "thresholds" and self._material is not None:
+            return ThresholdSegmenter(self._material)
+        moves = not moment.parked and self._printer.bed.kind != "fixed"
+        return AdaptiveSegmenter(self._material, None if moves else self._bare_bgr, bed_moves=moves)
+
+    def _follow_bed(self, moment: Moment) -> None:
+        """Have the reference show the bed where it stands now."""
+        pose = self._expected.pose(moment.position_mm)
+        if pose == self._followed_pose:
+            return
+        reference, known = self._reference_at(np.array(pose))
+        self._unknown = cv2.bitwise_not(known)
+        self._light = Light(reference, self.expected(moment).complete | self._unknown)
+        self._occluders = Occluders(reference)
+        self._followed_pose = pose
+
+    def _reference_at(self, shift_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The reference picture with its bed moved to where the bed is now, and (H, W) uint8, 255 where that is known."""
+        reference_shift_mm = np.array(self._expected.pose(self._reference_position_mm))
+        everywhere = np.full(self._reference_bgr.shape[:2], 255, np.uint8)
+        if np.abs(shift_mm - reference_shift_mm).max() < SAME_POSE_MM:
+            return self._reference_bgr, everywhere
+        width, depth = self._printer.width_mm, self._printer.depth_mm
+        corners_mm = np.array([[0, 0, 0], [width, 0, 0], [width, depth, 0], [0, depth, 0]], float)
+        before_px, now_px = (self._camera.project(corners_mm + shift) for shift in (reference_shift_mm, shift_mm))
+        if not (np.isfinite(before_px).all() and np.isfinite(now_px).all()):
+            return self._reference_bgr, np.zeros_like(everywhere)
+        motion = cv2.getPerspectiveTransform(before_px.astype(np.float32), now_px.astype(np.float32))
+        size = self._camera.image_size_px
+        moved = cv2.warpPerspective(self._reference_bgr, motion, size, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.warpPerspective(everywhere, motion, size)
+        bed_before, bed_now = (np.zeros_like(everywhere) for _ in range(2))
+        cv2.fillConvexPoly(bed_before, before_px.round().astype(np.int32), 255)
+        cv2.fillConvexPoly(bed_now, now_px.round().astype(np.int32), 255)
+        picture = np.where(bed_now[..., None] > 0, moved, self._reference_bgr)
+        # what the bed stood before is seen now for the first time, and its rim is a thing of its own
+        known = np.where(bed_now > 0, seen, cv2.bitwise_not(bed_before))
+        rim = cv2.morphologyEx(bed_now | bed_before, cv2.MORPH_GRADIENT, np.ones((15, 15), np.uint8))
+        return picture, known & cv2.bitwise_not(rim)
+
+    def _notice(self, turn: CameraTurn) -> str:
+        """The sentence where the camera has moved far and not yet stood still at its new place; else "".
+
+        A turn that two frames agree on is where the camera stands from now on: its view is found again.
+        """
+        finer = self._camera.image_size_px[0] / 640
+        if self._stabiliser.apart_px(turn, self._turn) < MOVED_PX * finer:
+            self._turn = self._pending = turn
+            return ""
+        if self._stabiliser.apart_px(turn, self._pending) < SAME_TURN_PX * finer:
+            self._turn = turn
+            return ""
+        self._pending = turn
+        return (
+            f"The camera was moved: the picture has shifted by about {turn.motion_px:.0f} px. "
+            "The view is looked for again; calibrate the camera before the next print."
+        )
+
+
+def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:
+    """The frame at the camera's size. Raises FrameError where it is of another shape."""
+    width, height = camera.image_size_px
+    frame_height, frame_width = frame_bgr.shape[:2]
+    if (frame_width, frame_height) == (width, height):
+        return frame_bgr
+    if abs(frame_width * height - frame_height * width) > 0.01 * frame_height * width:
+        raise FrameError(
+            f"The frame is {frame_width} x {frame_height} px, but the camera was calibrated at {width} x {height} px. "
+            "Set the webcam back, or calibrate it again."
+        )
+    return cv2.resize(frame_bgr, (width, height), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,88 @@
+"""The routes under /plugin/moop/ that look into recordings, and try other settings on them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import flask
+from octoprint.access.permissions import Permissions
+from octoprint.plugin import BlueprintPlugin
+
+from ..core.errors import RecordingError
+from ..core.settings import DEFAULTS, read_value
+from ..machine.link import EyeLink
+from .routes import body, picture_response
+
+REPLAY_S = 1800.0
+MASKS = ("seen", "expected", "ignored")
+
+
+class MoopPastApi(BlueprintPlugin):
+    """Mixed into the plugin, whose attributes it uses."""
+
+    _bench_eye: EyeLink
+    _recordings: Path
+
+    @BlueprintPlugin.route("/recordings/<name>/checks", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def get_past_checks(self, name: str) -> Any:
+        """What was concluded live. `id` is the check's place, by which its picture is asked for."""
+        try:
+            lines = (self._recording(name) / "checks.jsonl").read_text(encoding="utf-8").splitlines()
+        except FileNotFoundError:
+            lines = []
+        checks: list[dict[str, Any]] = []
+        for line in lines:
+            try:
+                checks.append({**json.loads(line), "id": len(checks)})
+            except ValueError:  # a power cut leaves half a line
+                break
+        return flask.jsonify(checks=checks)
+
+    @BlueprintPlugin.route("/recordings/<name>/pictures/<int:check_id>/<kind>", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def get_past_picture(self, name: str, check_id: int, kind: str) -> Any:
+        """frame.jpg as it was taken; seen.png, expected.png, ignored.png as the last replay found them."""
+        folder = self._recording(name)
+        path = _frame(folder, check_id) if kind == "frame.jpg" else self._masks(name) / f"{check_id}.{kind}"
+        if kind not in ("frame.jpg", *(f"{mask}.png" for mask in MASKS)) or not path.is_file():
+            flask.abort(404, "There is no such picture.")
+        return picture_response(path.read_bytes(), "image/jpeg" if kind == "frame.jpg" else "image/png")
+
+    @BlueprintPlugin.route("/recordings/<name>/replay", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def post_replay(self, name: str) -> Any:
+        """What would have happened with other settings. Body: settings by name; those not named are as they are now."""
+        folder = self._recording(name)
+        wanted = {key: read_value(key, value) for key, value in body().items()}
+        values = {**{key: getattr(self._moop_settings, key) for key in DEFAULTS}, **wanted}
+        masks = self._masks(name)
+        shutil.rmtree(masks.parent, ignore_errors=True)  # those of one recording are enough
+        try:
+            masks.mkdir(parents=True)
+        except OSError as error:
+            raise RecordingError(f"There is no room for the pictures of a replay: {error.strerror or error}.") from None
+        found, _ = self._bench_eye.ask(
+            "replay", timeout_s=REPLAY_S, recording=str(folder), material=self._material(values), settings=values,
+            masks=str(masks),
+        )  # fmt: skip
+        return flask.jsonify(found)
+
+    def _masks(self, name: str) -> Path:
+        return self._recordings.parent / "cache" / "replay" / name
+
+
+def _frame(folder: Path, number: int) -> Path:
+    """Path of the recording's frame of that number; the folder itself where there is none, or its name leads out of it.
+
+    Read here and not by `machine.recording`, which loads OpenCV: the server must not.
+    """
+    try:
+        line = (folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()[number]
+        path = (folder / str(json.loads(line)["frame"])).resolve()
+    except (OSError, ValueError, LookupError, TypeError):
+        return folder
+    return path if path.parent == (folder / "frames").resolve() else folder

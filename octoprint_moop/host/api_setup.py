@@ -1,0 +1,250 @@
+"""The routes under /plugin/moop/ that find out and keep what must be known before a print can be watched."""
+
+from __future__ import annotations
+
+import io
+import threading
+from typing import Any
+
+import flask
+from octoprint.access.permissions import Permissions
+from octoprint.filemanager.util import StreamWrapper
+from octoprint.plugin import BlueprintPlugin
+
+from ..core.errors import CalibrationError
+from ..core.settings import Settings
+from ..machine.ledger import Ledger
+from ..machine.link import EyeLink
+from ..machine.setups import Setups
+from ..machine.watch import Watch
+from ..machine.webcam import Webcam
+from .routes import body, picture_response
+
+QUICK_S, LONG_S = 30.0, 300.0
+MATERIAL = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min")
+MARKERS_FILE = "moop-markers.gcode"
+MOST_LENS_PICTURES = 40
+
+
+class MoopSetupApi(BlueprintPlugin):
+    """Mixed into the plugin, whose attributes it uses. Looking is done by an eye of its own, the bench."""
+
+    _watch: Watch
+    _ledger: Ledger
+    _webcam: Webcam
+    _bench_eye: EyeLink
+    _setups: Setups
+    _found: Setups
+    _moop_settings: Settings
+    _lens_pictures: dict[int, bytes]
+    _pose_picture: bytes
+    _bench_lock: threading.Lock
+
+    # --- the set-up as a whole ------------------------------------------------------------------------------------
+
+    @BlueprintPlugin.route("/setup", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def get_setup(self) -> Any:
+        """What is set now, as a recording's header; without a camera where none has been set up yet."""
+        parts = self._setups.get(*self._setup_key()) or {"printer": self._printer_geometry()}
+        return flask.jsonify({"format": "moop-recording", "version": 1, **parts, "material": self._material({})})
+
+    @BlueprintPlugin.route("/setup", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_setup(self) -> Any:
+        header, _ = self._bench_eye.ask("validate", timeout_s=QUICK_S, header=body())
+        profile, webcam = self._setup_key()
+        parts: dict[str, Any] = {name: header[name] for name in ("printer", "camera", "cameras") if name in header}
+        changed = self._setups.put(profile, webcam, parts)
+        material = header.get("material")
+        if material is not None and material != self._material({}):
+            low, high = material["hue_deg"]
+            values = (low, high, material["saturation_min"], material["value_min"])
+            self.on_settings_save(dict(zip(MATERIAL, values)))
+            self._settings.save(trigger_event=True)
+            changed.append("material")
+        return flask.jsonify(changed=changed, profile=profile, webcam=webcam)
+
+    # --- pictures and colour --------------------------------------------------------------------------------------
+
+    @BlueprintPlugin.route("/frame", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def get_frame(self) -> Any:
+        return picture_response(self._grab())
+
+    @BlueprintPlugin.route("/segment/preview", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def post_segment_preview(self) -> Any:
+        """The mask, PNG, of a fresh frame, or of check number `check`, with thresholds not yet saved."""
+        wanted = body()
+        check_id = wanted.get("check")
+        jpeg = self._ledger.picture(check_id, "frame.jpg") if isinstance(check_id, int) else None
+        material = wanted if "hue_deg" in wanted else self._material(wanted)
+        _, masks = self._bench_eye.ask("segment", jpeg or self._grab(), timeout_s=QUICK_S, material=material)
+        return picture_response(masks[0], "image/png")
+
+    # --- the printer ----------------------------------------------------------------------------------------------
+
+    @BlueprintPlugin.route("/calibrate/printer", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_printer(self) -> Any:
+        """A header's `printer` as OctoPrint's profile has it; how the bed moves is for the user to say."""
+        return flask.jsonify(printer=self._printer_geometry())
+
+    @BlueprintPlugin.route("/calibrate/markers", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_markers(self) -> Any:
+        """Puts a marker plate's G-code among OctoPrint's files, ready to be printed. Body: fields of PlateSettings."""
+        made, blobs = self._bench_eye.ask(
+            "markers", timeout_s=QUICK_S, printer=self._printer_geometry(), plate=body()
+        )  # fmt: skip
+        file = StreamWrapper(MARKERS_FILE, io.BytesIO(blobs[0]))
+        path = self._file_manager.add_file("local", MARKERS_FILE, file, allow_overwrite=True)
+        self._found.put("markers", "", made["markers"])
+        return flask.jsonify(file=path, markers=made["markers"])
+
+    # --- the lens -------------------------------------------------------------------------------------------------
+
+    @BlueprintPlugin.route("/calibrate/board.svg", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_board(self) -> Any:
+        _, blobs = self._bench_eye.ask("board_picture", timeout_s=QUICK_S, **_board(flask.request.args))
+        return picture_response(blobs[0], "image/svg+xml")
+
+    @BlueprintPlugin.route("/calibrate/lens/pictures", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_lens_picture(self) -> Any:
+        """Takes one picture of the checkerboard and keeps it where the board is seen whole."""
+        jpeg = self._grab()
+        found, _ = self._bench_eye.ask("find_board", jpeg, timeout_s=QUICK_S, **_board(body()))
+        picture_id = None
+        with self._bench_lock:
+            if found["corners_px"] is not None and len(self._lens_pictures) < MOST_LENS_PICTURES:
+                picture_id = max(self._lens_pictures, default=-1) + 1
+                self._lens_pictures[picture_id] = jpeg
+            return flask.jsonify(**found, id=picture_id, kept=len(self._lens_pictures))
+
+    @BlueprintPlugin.route("/calibrate/lens/pictures/<int:picture_id>.jpg", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_lens_picture(self, picture_id: int) -> Any:
+        picture = self._lens_pictures.get(picture_id)
+        return flask.abort(404) if picture is None else picture_response(picture)
+
+    @BlueprintPlugin.route("/calibrate/lens/pictures", methods=["DELETE"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def delete_lens_pictures(self) -> Any:
+        with self._bench_lock:
+            self._lens_pictures.clear()
+        return flask.jsonify({})
+
+    @BlueprintPlugin.route("/calibrate/lens", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_lens(self) -> Any:
+        """The lens from the pictures kept, as `moop calibrate lens --json`; kept for this webcam."""
+        with self._bench_lock:
+            pictures = dict(self._lens_pictures)
+        names = [str(picture_id) for picture_id in pictures]
+        lens, _ = self._bench_eye.ask("lens", *pictures.values(), timeout_s=LONG_S, names=names, **_board(body()))
+        self._found.put("lens", self._setup_key()[1], lens)
+        return flask.jsonify(lens)
+
+    @BlueprintPlugin.route("/calibrate/lens", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_lens(self) -> Any:
+        """The lens found last for this webcam."""
+        return flask.jsonify(lens=self._known_lens())
+
+    # --- the camera's place ---------------------------------------------------------------------------------------
+
+    @BlueprintPlugin.route("/calibrate/pose", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_pose(self) -> Any:
+        """The camera's place from a fresh picture of the marker plate, as `moop calibrate pose --json`.
+
+        Body, all optional: `markers` (else the plate made last), `lens` (else the one found last), `material`. Answers
+        besides: `bed_reference_mm`, where the printer says it stands, or null.
+        """
+        wanted = body()
+        lens = wanted.get("lens") or self._known_lens()
+        markers = wanted.get("markers") or self._found.get("markers", "")
+        if lens is None:
+            raise CalibrationError("The lens is not known yet. Calibrate it with the checkerboard first.")
+        if markers is None:
+            raise CalibrationError("It is not known where the markers lie. Make the marker plate, or send its markers.")
+        standing = self._standing()
+        self._pose_picture = jpeg = self._grab()
+        found, _ = self._bench_eye.ask(
+            "pose", jpeg, timeout_s=LONG_S, lens=lens, markers=markers, material=wanted.get("material")
+        )
+        return flask.jsonify(**found, bed_reference_mm=standing)
+
+    @BlueprintPlugin.route("/calibrate/points/picture", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_points_picture(self) -> Any:
+        """Takes the picture that is to be clicked on; answers where the printer says it stands, or null."""
+        standing = self._standing()
+        self._pose_picture = self._grab()
+        return flask.jsonify(bed_reference_mm=standing)
+
+    @BlueprintPlugin.route("/calibrate/points", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_points(self) -> Any:
+        """The camera's place from points clicked on the picture taken last, as `moop calibrate points --json`."""
+        wanted = body()
+        if not self._pose_picture:
+            raise CalibrationError("There is no picture yet that was clicked on. Take one first.")
+        found, _ = self._bench_eye.ask(
+            "points", self._pose_picture, timeout_s=LONG_S, points=wanted.get("points"),
+            lens=wanted.get("lens") or self._known_lens(), click_px=float(wanted.get("click_px", 2.0)),
+        )  # fmt: skip
+        return flask.jsonify(found)
+
+    @BlueprintPlugin.route("/calibrate/picture.jpg", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_pose_picture(self) -> Any:
+        """The picture that the last place was found on, or is to be clicked on."""
+        return picture_response(self._pose_picture) if self._pose_picture else flask.abort(404)
+
+    @BlueprintPlugin.route("/calibrate/guides", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_guides(self) -> Any:
+        """The bed's grid and a box on it, as lines in the picture of `camera`. Body: `printer`, `camera`."""
+        wanted = body()
+        lines, _ = self._bench_eye.ask(
+            "guides", timeout_s=QUICK_S, printer=wanted.get("printer") or {}, camera=wanted.get("camera") or {}
+        )
+        return flask.jsonify(lines)
+
+    # --- together -------------------------------------------------------------------------------------------------
+
+    def _grab(self) -> bytes:
+        return self._webcam.grab(self._moop_settings.check_timeout_s)
+
+    def _known_lens(self) -> dict[str, Any] | None:
+        profile, webcam = self._setup_key()
+        parts = self._setups.get(profile, webcam) or {}
+        return self._found.get("lens", webcam) or parts.get("camera")
+
+    def _printer_geometry(self) -> dict[str, Any]:
+        profile = self._printer_profile_manager.get_current_or_default()
+        return self._bench_eye.ask("printer", timeout_s=QUICK_S, profile=profile)[0]
+
+    def _standing(self) -> dict[str, float] | None:
+        """Where the printer stands, as it says itself; None where it is not connected, or prints."""
+        if self._printer.get_state_id() != "OPERATIONAL":
+            return None
+        position_mm = self._watch.holds.where(timeout_s=10.0)
+        return None if position_mm is None else dict(zip("xyz", position_mm))
+
+    def _material(self, over: dict[str, Any]) -> dict[str, Any]:
+        """The filament's thresholds as a recording's header has them: as saved, or as `over` says."""
+        low, high, saturation, value = (over.get(name, getattr(self._moop_settings, name)) for name in MATERIAL)
+        return {"hue_deg": [low, high], "saturation_min": saturation, "value_min": value}
+
+
+def _board(data: Any) -> dict[str, Any]:
+    """The checkerboard's inner corners and square, as the command line takes them. Raises CalibrationError."""
+    try:
+        return {"board": str(data.get("board", "9x6")), "square_mm": float(data["square_mm"])}
+    except (KeyError, TypeError, ValueError):
+        raise CalibrationError("Say how wide a square of the checkerboard is: square_mm, as measured.") from None

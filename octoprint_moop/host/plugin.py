@@ -1,0 +1,262 @@
+"""The plugin as OctoPrint sees it: mixins and hooks that hand everything to the watch."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import octoprint.plugin
+from octoprint.access import ADMIN_GROUP, READONLY_GROUP, USER_GROUP
+from octoprint.events import Events
+
+from ..core.errors import SettingsError
+from ..core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
+from ..machine.ledger import Ledger
+from ..machine.link import EyeLink
+from ..machine.setups import Setups
+from ..machine.watch import Job, Watch
+from ..machine.webcam import Webcam, octoprint_webcam, webcam_name
+from .api import MoopApi
+from .api_past import MoopPastApi
+from .api_setup import MoopSetupApi
+
+REPOSITORY = ("moop3d", "OctoPrint-MOOP")
+
+
+class MoopPlugin(
+    MoopApi,
+    MoopPastApi,
+    MoopSetupApi,
+    octoprint.plugin.StartupPlugin,
+    octoprint.plugin.ShutdownPlugin,
+    octoprint.plugin.SettingsPlugin,
+    octoprint.plugin.EventHandlerPlugin,
+    octoprint.plugin.AssetPlugin,
+    octoprint.plugin.TemplatePlugin,
+    octoprint.plugin.WizardPlugin,
+):
+    """Wires OctoPrint's printer, webcam, events and settings to one `Watch`, one eye for it, and one for the set-up."""
+
+    # --- life -----------------------------------------------------------------------------------------------------
+
+    def initialize(self) -> None:
+        data = Path(self.get_plugin_data_folder())
+        self._recordings = data / "recordings"
+        self._setups, self._found = Setups(data / "setups.json"), Setups(data / "found.json")
+        self._lens_pictures: dict[int, bytes] = {}
+        self._pose_picture, self._bench_lock = b"", threading.Lock()
+        self._moop_settings = self._stored_settings()
+        self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
+        # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.
+        self._watch_eye, self._bench_eye = EyeLink(), EyeLink()
+        self._ledger = Ledger(self._tell, self._plugin_version)
+        self._watch = Watch(
+            self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache", self._moop_settings,
+            self._ledger,
+        )  # fmt: skip
+
+    def on_after_startup(self) -> None:
+        self._watch.start()
+
+    def on_shutdown(self) -> None:
+        self._watch.stop()
+        self._watch_eye.close()
+        self._bench_eye.close()
+
+    def _tell(self, kind: str, payload: dict[str, Any]) -> None:
+        """From the watching thread to the pages and to OctoPrint's event bus."""
+        send = self._plugin_manager.send_plugin_message
+        if kind in ("status", "check"):
+            send(self._identifier, {"type": kind, kind: payload})
+        elif kind == "failed":
+            send(self._identifier, {"type": kind, **payload})
+        if kind != "status":
+            self._event_bus.fire(f"plugin_{self._identifier}_{kind}", payload)
+
+    # --- events ---------------------------------------------------------------------------------------------------
+
+    def on_event(self, event: str, payload: Any) -> None:
+        """On the thread that all plugins share: every answer here is to put something into a mailbox."""
+        watch = self._watch
+        if event == Events.FILE_SELECTED:
+            if payload.get("origin") == "local":
+                watch.job_selected(self._file_manager.path_on_disk("local", payload["path"]))
+        elif event == Events.PRINT_STARTED:
+            watch.job_started(self._job(payload))
+        elif event == Events.PRINT_PAUSED:
+            watch.job_paused()
+        elif event == Events.PRINT_RESUMED:
+            watch.job_resumed()
+        elif event == Events.PRINT_DONE:
+            watch.job_over("done")
+        elif event == Events.PRINT_CANCELLED:
+            watch.job_over("cancelled")
+        elif event == Events.PRINT_FAILED:
+            watch.job_over("failed")
+        elif event == Events.PRINT_CANCELLING:
+            watch.job_stopping("the print is being cancelled")
+        elif event in (Events.DISCONNECTING, Events.PRINTER_RESET, Events.ERROR):
+            watch.job_stopping(f"the printer went away ({event})")
+        elif event == Events.DISCONNECTED:
+            watch.job_over("disconnected", lost=True)
+        elif event == Events.SHUTDOWN:
+            watch.job_stopping("the server stops")
+
+    def _job(self, payload: Any) -> Job:
+        name = str(payload.get("name") or payload.get("path") or "")
+        if payload.get("origin") != "local":
+            why = "This print runs from the printer's own storage, where nobody can hold it for a look."
+            return Job(name, None, None, why)
+        path = self._file_manager.path_on_disk("local", payload["path"])
+        return Job(name, path, self._setups.get(*self._setup_key()))
+
+    def _setup_key(self) -> tuple[str, str]:
+        """Printer profile and webcam that a set-up holds for."""
+        profile = self._printer_profile_manager.get_current_or_default()
+        return str(profile["id"]), webcam_name(self._moop_settings.webcam)
+
+    # --- settings -------------------------------------------------------------------------------------------------
+
+    def get_settings_defaults(self) -> dict[str, Any]:
+        return dict(DEFAULTS)
+
+    def get_settings_version(self) -> int:
+        return VERSION
+
+    def on_settings_migrate(self, target: int, current: int | None) -> None:
+        stored = self._settings.get_all_data(merged=False, incl_defaults=False) or {}
+        for name, value in migrate(stored, current).items():
+            if name in DEFAULTS and stored.get(name) != value:
+                self._settings.set([name], value)
+
+    def on_settings_save(self, data: dict[str, Any]) -> Any:
+        good = {}
+        for name, value in data.items():
+            try:
+                good[name] = read_value(name, value)
+            except SettingsError as error:
+                self._logger.warning("Not saved: %s", error)
+                self._plugin_manager.send_plugin_message(
+                    self._identifier, {"type": "refused", "setting": name, "message": str(error)}
+                )
+        saved = octoprint.plugin.SettingsPlugin.on_settings_save(self, good)
+        self._moop_settings = self._stored_settings()
+        self._watch.apply(self._moop_settings)
+        return saved
+
+    def _stored_settings(self) -> Settings:
+        """What is stored, where it makes sense: a value edited by hand into nonsense must not end the watching."""
+        values = {}
+        for name in DEFAULTS:
+            try:
+                values[name] = read_value(name, self._settings.get([name]))
+            except SettingsError as error:
+                self._logger.warning("The default is used: %s", error)
+        return read_settings(values)
+
+    # --- page -----------------------------------------------------------------------------------------------------
+
+    def get_assets(self) -> dict[str, list[str]]:
+        static = Path(self._basefolder) / "static"
+        return {
+            kind: sorted(f"{folder}/{path.name}" for path in (static / folder).glob(f"*.{suffix}"))
+            for kind, folder, suffix in (("js", "js", "js"), ("css", "css", "css"), ("clientjs", "clientjs", "js"))
+        }
+
+    def get_template_vars(self) -> dict[str, Any]:
+        return {"fields": described()}
+
+    def is_template_autoescaped(self) -> bool:
+        return True
+
+    def is_wizard_required(self) -> bool:
+        """OctoPrint's own assistant only points to the set-up in the tab, where one can come back to it."""
+        return self._setups.get(*self._setup_key()) is None
+
+    def get_wizard_version(self) -> int:
+        return 1
+
+    # --- hooks ----------------------------------------------------------------------------------------------------
+
+    def hooks(self) -> dict[str, Any]:
+        return {
+            "octoprint.comm.protocol.gcode.queuing": self.on_gcode_queuing,
+            "octoprint.comm.protocol.gcode.sent": self.on_gcode_sent,
+            "octoprint.comm.protocol.gcode.received": self.on_gcode_received,
+            "octoprint.comm.protocol.atcommand.queuing": self.on_atcommand_queuing,
+            "octoprint.comm.protocol.scripts": self.on_script,
+            "octoprint.access.permissions": self.permissions,
+            "octoprint.events.register_custom_events": self.custom_events,
+            "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
+            "octoprint.plugin.softwareupdate.check_config": self.update_information,
+        }
+
+    def on_gcode_queuing(
+        self, comm: Any, phase: str, cmd: str, cmd_type: Any, gcode: str | None,
+        subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
+    ) -> Any:  # fmt: skip
+        # Comments never come this far and texts may be rewritten: the position in the file is what a line is known by.
+        file_pos = _file_pos(tags)
+        return None if file_pos is None else self._watch.holds.line_queuing(cmd, file_pos)
+
+    def on_gcode_sent(
+        self, comm: Any, phase: str, cmd: str, cmd_type: Any, gcode: str | None,
+        subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
+    ) -> None:  # fmt: skip
+        self._watch.holds.line_sent(gcode, tags)
+        if gcode == "M486" or cmd.startswith("EXCLUDE_OBJECT"):
+            self._watch.command_sent(cmd)
+
+    def on_gcode_received(self, comm: Any, line: str, *args: Any, **kwargs: Any) -> str:
+        self._watch.holds.line_received(line)
+        return line
+
+    def on_atcommand_queuing(
+        self, comm: Any, phase: str, command: str, parameters: str, tags: Any = None, *args: Any, **kwargs: Any
+    ) -> None:
+        file_pos = _file_pos(tags)
+        if command == "moop" and file_pos is not None and self._moop_settings.capture == "slicer":
+            self._watch.holds.mark_queuing(file_pos)
+
+    def on_script(self, comm: Any, kind: str, name: str, *args: Any, **kwargs: Any) -> Any:
+        if kind == "gcode" and name == "beforePrintResumed":
+            heat = self._watch.actor.reheating()
+            if heat:
+                return heat, None
+        return None
+
+    def permissions(self, *args: Any, **kwargs: Any) -> list[dict[str, Any]]:
+        return [
+            {"key": "VIEW", "name": "View", "description": "See the checks, their pictures and the recordings.",
+             "roles": ["view"], "default_groups": [READONLY_GROUP, USER_GROUP]},
+            {"key": "CONTROL", "name": "Control", "description": "Watch or not, check now, delete recordings.",
+             "roles": ["control"], "default_groups": [USER_GROUP]},
+            {"key": "CALIBRATE", "name": "Calibrate", "description": "Set up printer geometry, camera and filament.",
+             "roles": ["calibrate"], "dangerous": True, "default_groups": [ADMIN_GROUP]},
+        ]  # fmt: skip
+
+    def custom_events(self, *args: Any, **kwargs: Any) -> list[str]:
+        return ["check", "suspect", "failed", "unusable", "camera_moved", "blind"]
+
+    def backup_excludes(self, excluded: Any, *args: Any, **kwargs: Any) -> list[str]:
+        return ["recordings", "cache"]
+
+    def update_information(self) -> dict[str, Any]:
+        user, repository = REPOSITORY
+        return {
+            self._identifier: {
+                "displayName": self._plugin_name, "displayVersion": self._plugin_version,
+                "current": self._plugin_version,
+                "type": "github_release", "user": user, "repo": repository,
+                "pip": f"https://github.com/{user}/{repository}/archive/{{target_version}}.zip",
+            }
+        }  # fmt: skip
+
+
+def _file_pos(tags: Any) -> int | None:
+    """Where the line ends in the file that is printed; None for a line that is not the file's."""
+    for tag in tags or ():
+        if tag.startswith("filepos:"):
+            return int(tag[8:])
+    return None
