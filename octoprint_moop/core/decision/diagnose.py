@@ -145,7 +145,7 @@ class _Scope:
     def unseen_ratio(self, since: int) -> float:
         """Share of what has come since that layer, and is in sight, that is not seen."""
         new = self._wanted & (self._layer_of >= since)
-        return np.count_nonzero(new & self._unseen) / max(np.count_nonzero(new), 1)
+        return int(np.count_nonzero(new & self._unseen)) / max(int(np.count_nonzero(new)), 1)
 
     def first_unseen_layer(self) -> int:
         """Going back from the last layer, the first of those of which a good part is not seen."""
@@ -166,8 +166,9 @@ class _Scope:
         rest = self._standing & ~loose
         for turn_deg in TURNS_DEG:
             move = self._best_move(_turned(loose, turn_deg), rest)
-            far = move is not None and move.distance_px >= LEAST_MOVE_PX
-            if far and (best is None or move.explained_ratio > best.explained_ratio):
+            if move is None or move.distance_px < LEAST_MOVE_PX:
+                continue
+            if best is None or move.explained_ratio > best.explained_ratio:
                 best = move
         return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
 

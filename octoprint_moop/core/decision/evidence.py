@@ -161,7 +161,7 @@ def _hidden_px(
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(there, look, about, HIDING_CHANGE, unknown=False)
     if np.count_nonzero(changed) > min(HIDING_RATIO * np.count_nonzero(about), gone_px):
-        return gone_px
+        return int(gone_px)
     return int(np.count_nonzero(memory.looks_strange(there, look, gone)))
 
 

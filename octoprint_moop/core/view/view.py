@@ -123,10 +123,11 @@ class View:
         """(3, 3): about where pixels of the print have gone as the bed moved. Exact for none but close for all of it."""
         low, high = self._toolpath.bounds_mm()
         box_mm = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, high[2])])
-        pixels = [self._camera.project(box_mm + shift_mm) for shift_mm in (before_mm, now_mm)]
-        if not np.isfinite(pixels).all():
+        before_px, now_px = (self._camera.project(box_mm + shift_mm) for shift_mm in (before_mm, now_mm))
+        if not (np.isfinite(before_px).all() and np.isfinite(now_px).all()):
             return np.eye(3)
-        return cv2.findHomography(*pixels)[0]
+        motion = cv2.findHomography(before_px, now_px)[0]
+        return np.eye(3) if motion is None else motion
 
     def place(self, moment: Moment) -> Place:
         """Where things lie at that moment, for a diagnosis."""
