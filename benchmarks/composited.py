@@ -49,7 +49,9 @@ class Base:
         fault = truth.get("fault")
         good = fault["onset_layer"] if fault else len(recording.moments)
         moments = recording.moments[:good]
-        masks = [cv2.imread(str(folder / m.frame.replace(".jpg", ".mask.png")), cv2.IMREAD_GRAYSCALE) > 0 for m in moments]
+        masks = [
+            cv2.imread(str(folder / m.frame.replace(".jpg", ".mask.png")), cv2.IMREAD_GRAYSCALE) > 0 for m in moments
+        ]
         frames = np.stack([recording.frame(m) for m in moments])
         totals = np.array([row["total_px"] for row in truth["per_frame"][:good]])
         return cls(folder.name, recording, toolpath, moments, frames, np.stack(masks), recording.reference(), totals)
@@ -99,7 +101,13 @@ class Story:
         if self.fault and not self.onset:
             self.onset = int(rng.integers(3, max(4, count - 12)))
         labelled = len(self.base.toolpath.objects)
-        if self.fault and self.object_id is None and labelled > 1 and self.fault != "layer_shift" and rng.random() < 0.9:
+        if (
+            self.fault
+            and self.object_id is None
+            and labelled > 1
+            and self.fault != "layer_shift"
+            and rng.random() < 0.9
+        ):
             self.object_id = int(rng.integers(labelled))
         if self.onset > 22 and self.seed % 4:  # most faults come early, so that runs are short
             self.onset = 3 + self.onset % 20
@@ -110,10 +118,13 @@ class Story:
             if self.object_id is not None:
                 body = toolpath.object_id == self.object_id
             self._body = body
-            self._region = cv2.dilate(
-                self.base.covered(moment, np.flatnonzero(body)).astype(np.uint8), np.ones((5, 5), np.uint8)
-            ) > 0
-        self._draws = {key: np.random.default_rng([self.seed, 2, n]).random(8) for n, key in enumerate((*FAULTS, *NUISANCES))}
+            self._region = (
+                cv2.dilate(self.base.covered(moment, np.flatnonzero(body)).astype(np.uint8), np.ones((5, 5), np.uint8))
+                > 0
+            )
+        self._draws = {
+            key: np.random.default_rng([self.seed, 2, n]).random(8) for n, key in enumerate((*FAULTS, *NUISANCES))
+        }
 
     def __len__(self) -> int:
         return len(self.base.moments)
@@ -173,7 +184,10 @@ class Story:
     def _frozen_at(self, past, frame, mask):
         """The object as it was, everything else as it is."""
         frame, mask = frame.copy(), mask.copy()
-        frame[self._region], mask[self._region] = self.base.frames[past][self._region], self.base.masks[past][self._region]
+        frame[self._region], mask[self._region] = (
+            self.base.frames[past][self._region],
+            self.base.masks[past][self._region],
+        )
         return frame, mask
 
     def _under_extrusion(self, number, frame, mask, draws):
@@ -215,7 +229,9 @@ class Story:
         return self._moved(frame, mask, past, cv2.getRotationMatrix2D(foot, angle, 0.95))
 
     def _layer_shift(self, number, frame, mask, draws):
-        beads = np.arange(self.base.toolpath.layer_start[self.onset], self.base.toolpath.laid_at(self.base.moments[number].file_pos))
+        beads = np.arange(
+            self.base.toolpath.layer_start[self.onset], self.base.toolpath.laid_at(self.base.moments[number].file_pos)
+        )
         upper = self.base.covered(self.base.moments[number], beads[self._body[beads]]) & mask
         past_frame, past_mask = self._frozen_at(self.onset - 1, frame, mask)
         turn, reach = 1.57 * int(4 * draws[0]), (6 + 20 * draws[1]) * self.strength

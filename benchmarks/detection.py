@@ -29,13 +29,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.composited import FAULTS, NUISANCES, Base, Story  # noqa: E402
-from benchmarks.painted import PaintedStory  # noqa: E402
-from octoprint_moop.core.camera import Camera  # noqa: E402
-from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, UNUSABLE  # noqa: E402
-from octoprint_moop.core.inspection import Check, Inspector  # noqa: E402
-from octoprint_moop.core.toolpath import Toolpath  # noqa: E402
-from octoprint_moop.machine.renderers import open_renderer  # noqa: E402
+from benchmarks.composited import FAULTS, NUISANCES, Base, Story
+from benchmarks.painted import PaintedStory
+from octoprint_moop.core.camera import Camera
+from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, UNUSABLE
+from octoprint_moop.core.inspection import Check, Inspector
+from octoprint_moop.core.toolpath import Toolpath
+from octoprint_moop.machine.renderers import open_renderer
 
 HERE = Path(__file__).resolve().parent
 SHARED = Path(os.environ.get("MOOP_SHARED", HERE.parents[1] / "shared"))
@@ -79,7 +79,9 @@ class Rivals:
             self._error_ratio = error_ratio
         if self._previous is not None:
             changed = (cv2.absdiff(grey, self._previous) > 25).astype(np.uint8)
-            _, _, stats, _ = cv2.connectedComponentsWithStats(cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((3, 3))))
+            _, _, stats, _ = cv2.connectedComponentsWithStats(
+                cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((3, 3)))
+            )
             if len(stats) > 1 and stats[1:, cv2.CC_STAT_AREA].max() > 150:
                 self.alarms.setdefault("blobs", number)
         self._previous = grey
@@ -150,7 +152,9 @@ def run(arguments: argparse.Namespace) -> None:
     done = {(row["kind"], row["seed"]) for row in rows}
     bases = []
     if arguments.kind == "composited":
-        bases = [Base.open(folder) for folder in sorted((SHARED / "cases").iterdir()) if (folder / "truth.json").is_file()]
+        bases = [
+            Base.open(folder) for folder in sorted((SHARED / "cases").iterdir()) if (folder / "truth.json").is_file()
+        ]
     with open_renderer() as renderer, open(out, "a") as lines:
         for seed in range(arguments.first, arguments.first + arguments.runs):
             if (arguments.kind, seed) not in done:
@@ -169,7 +173,9 @@ def score(rows: list[dict], rule: str) -> dict:
     faults = [row for row in rows if row["fault"] and row["visible"] is not None]
     caught = [row for row in faults if row["alarms"].get(rule, -1) >= row["onset"]]
     delays = [max(0, row["alarms"][rule] - row["visible"]) for row in caught]
-    early = [row for row in rows if rule in row["alarms"] and (row["fault"] is None or row["alarms"][rule] < row["onset"])]
+    early = [
+        row for row in rows if rule in row["alarms"] and (row["fault"] is None or row["alarms"][rule] < row["onset"])
+    ]
     return {
         "faults": len(faults), "caught": len(caught), "delay_median": statistics.median(delays) if delays else None,
         "delay_at_most_1": sum(delay <= 1 for delay in delays), "false_alarms": len(early), "runs": len(rows),
@@ -182,10 +188,14 @@ def table(arguments: argparse.Namespace) -> None:
     for kind in sorted({row["kind"] for row in rows}):
         mine = [row for row in rows if row["kind"] == kind]
         print(f"\n### {kind}, {len(mine)} runs\n")
-        print("| rule | faults caught | delay 0 or 1 | median delay | false alarms | clean checks |\n| --- | --- | --- | --- | --- | --- |")
+        print(
+            "| rule | faults caught | delay 0 or 1 | median delay | false alarms | clean checks |\n| --- | --- | --- | --- | --- | --- |"
+        )
         for rule in RULES:
             one = score(mine, rule)
-            print(f"| {rule} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {one['delay_median']} | {one['false_alarms']} in {one['runs']} runs | {one['clean_checks']} |")
+            print(
+                f"| {rule} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {one['delay_median']} | {one['false_alarms']} in {one['runs']} runs | {one['clean_checks']} |"
+            )
         print("\n| fault | caught | delay 0 or 1 | mode right | object right |\n| --- | --- | --- | --- | --- |")
         for fault in sorted({row["fault"] for row in mine if row["fault"]}):
             own = [row for row in mine if row["fault"] == fault]
@@ -194,7 +204,9 @@ def table(arguments: argparse.Namespace) -> None:
             right = sum(row["mode"] in RIGHT_MODES[fault] for row in caught)
             asked = [row for row in caught if row["object"]]
             named = sum(row["named"] == [row["object"]] for row in asked)
-            print(f"| {fault} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {right} | {named} of {len(asked)} |")
+            print(
+                f"| {fault} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {right} | {named} of {len(asked)} |"
+            )
         print("\n| largest true E | caught |\n| --- | --- |")
         for low, high in ((0.0, 0.01), (0.01, 0.02), (0.02, 0.04), (0.04, 0.1), (0.1, 9.0)):
             own = [row for row in mine if row["fault"] and low <= row["largest_E"] < high]

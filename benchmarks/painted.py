@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -23,12 +23,18 @@ MODELS = (
     "prusaslicer_multi", "cura_multi", "slic3r_multi", "superslicer_multi", "m486_multi", "cura_3.6.0_calcube",
     "ideamaker_multi", "kirimoto_multi", "prusaslicer_2.7.4_vase",
 )  # fmt: skip
-COLOURS_BGR = ((24.0, 104.0, 240.0), (40.0, 190.0, 60.0), (200.0, 70.0, 30.0), (40.0, 30.0, 210.0), (30.0, 200.0, 235.0))
+COLOURS_BGR = (
+    (24.0, 104.0, 240.0),
+    (40.0, 190.0, 60.0),
+    (200.0, 70.0, 30.0),
+    (40.0, 30.0, 210.0),
+    (30.0, 200.0, 235.0),
+)
 FAULT_NAMES = {"extrusion_stop": "extrusion"}
 MOST_LAYERS, SIZE_PX = 40, (480, 360)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _toolpath(path: Path) -> Toolpath:
     return read_gcode(path)
 

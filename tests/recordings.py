@@ -41,4 +41,3 @@ def make_recording(folder: Path, layers: int = 16, reference: bool = True, **sce
             }  # fmt: skip
             lines.write(json.dumps(moment) + "\n")
     return folder
-

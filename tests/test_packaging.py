@@ -35,7 +35,9 @@ def pip(python, *arguments):
 def wheel(tmp_path_factory):
     """Built from a copy, so that nothing is left in the checkout."""
     folder = tmp_path_factory.mktemp("wheel")
-    source = copytree(ROOT, folder / "source", ignore=ignore_patterns(".git", ".venv*", "build", "*.egg-info", ".*_cache"))
+    source = copytree(
+        ROOT, folder / "source", ignore=ignore_patterns(".git", ".venv*", "build", "*.egg-info", ".*_cache")
+    )
     pip(sys.executable, "wheel", "--no-deps", "--wheel-dir", folder, source)
     return next(folder.glob("octoprint_moop-*.whl"))
 

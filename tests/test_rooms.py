@@ -75,7 +75,9 @@ def test_what_octoprint_loads_needs_no_native_library(name):
             continue
         seen.add(path)
         _, others = imported(path, everywhere=False)
-        assert not others & NOT_AT_ONCE, f"{name} reaches {path.relative_to(PACKAGE)}, which imports {others & NOT_AT_ONCE}"
+        assert not others & NOT_AT_ONCE, (
+            f"{name} reaches {path.relative_to(PACKAGE)}, which imports {others & NOT_AT_ONCE}"
+        )
         waiting += own_modules(path)
 
 

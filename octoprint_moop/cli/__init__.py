@@ -55,5 +55,3 @@ def main() -> None:
     """Sees a 3D print fail, says what failed, and pauses it at that layer."""
     # OpenCV would otherwise print its own warnings about damaged pictures between ours.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
-
-

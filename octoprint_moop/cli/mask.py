@@ -20,7 +20,9 @@ from ..machine.renderers import open_renderer
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--frame", help="The moment of this frame, e.g. frames/000012.jpg.")
 @click.option("--file-pos", type=int, help="The moment when the file is executed up to this position.")
-@click.option("--position", help="Where the machine stands then, X,Y,Z in mm; the bed's reference position if left out.")
+@click.option(
+    "--position", help="Where the machine stands then, X,Y,Z in mm; the bed's reference position if left out."
+)
 @click.option("--complete", is_flag=True, help="The complete print.")
 @click.option("--distorted", is_flag=True, help="In the frame's own pixels, lens distortion included.")
 @click.option("--mesh", type=click.Path(path_type=Path), help="Draw this model (STL, OBJ, 3MF) instead of the beads.")

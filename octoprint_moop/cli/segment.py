@@ -50,7 +50,7 @@ def segment(
         if len(images) > 1 or box or expected:
             raise click.UsageError("--frame wants one RECORDING, without --box and --expected.")
         _segment_recording(images[0], frame, distorted, out)
-    else:
+    elif learn is not None:
         if distorted:
             raise click.UsageError("--distorted is for a RECORDING: images are never undistorted.")
         _segment_images(images, learn, _region(box), expected, out)

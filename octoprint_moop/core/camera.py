@@ -7,8 +7,9 @@ Print coordinates and room coordinates differ only by the bed's motion (`BedMoti
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np

@@ -34,7 +34,8 @@ from .settings import Settings
 from .toolpath import Toolpath
 from .view.view import View
 
-TOLERANCE_PX = 2.0  # at up to 640 pixels across, where JPEG alone blurs colours by as much: what calibration and segmentation may be off without a word
+# what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
+TOLERANCE_PX = 2.0  # at up to 640 pixels across
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN = "Something stands in the view: a hand, or a tool?"
@@ -280,7 +281,6 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         return {"type": "summary", **self.__dict__, "failed_objects": list(self.failed_objects)}
-
 
 
 def _weight(outcome: Outcome) -> tuple[int, bool, float]:

@@ -41,12 +41,17 @@ class Settings:
     watch_prints: bool = switch(True, "Watch every print from its start.")
     on_failed: str = choice("pause", ACTIONS, "What to do when a print has failed.")
     segmentation: str = choice(
-        "adaptive", SEGMENTATIONS,
+        "adaptive",
+        SEGMENTATIONS,
         "How filament is told from the rest: by what this print has shown, or by the colour limits alone.",
     )
     cool_after_min: float = number(
-        0.0, 0.0, 1440.0, "min", "Turn the hot end off when a pause of ours lasts longer than this; 0 for never. "
-        "It is heated again before the print goes on."
+        0.0,
+        0.0,
+        1440.0,
+        "min",
+        "Turn the hot end off when a pause of ours lasts longer than this; 0 for never. "
+        "It is heated again before the print goes on.",
     )
     sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 

@@ -125,8 +125,8 @@ def _warping(
                 along = (ends[:, column : column + 2] - centre) / half * side / 2
                 reach = np.maximum(reach, np.clip(along.sum(axis=1), 0, 1))
             ends[:, column + 2] += lift_mm * reach**2
-            ends[:, column : column + 2] -= 0.25 * (lift_mm * reach**2)[:, None] * np.sign(
-                ends[:, column : column + 2] - centre
+            ends[:, column : column + 2] -= (
+                0.25 * (lift_mm * reach**2)[:, None] * np.sign(ends[:, column : column + 2] - centre)
             )
         matter.ends_mm[part] = ends
     return replace(matter, unchanged=False)

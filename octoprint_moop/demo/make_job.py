@@ -1,6 +1,6 @@
 """Makes the demo's job again: two small parts, sliced by PrusaSlicer. Run by hand; its result is part of the package.
 
-    python -m octoprint_moop.demo.make_job        (needs `prusa-slicer` on the path, and scipy)
+python -m octoprint_moop.demo.make_job        (needs `prusa-slicer` on the path, and scipy)
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ from .run import JOB
 BED_CENTRE_MM = (125.0, 105.0)
 
 # Real files wait for the heat here (M109, M190); the virtual printer would take minutes over it.
-START = (
-    r"M83\nM140 S60\nM104 S210\nG28\nG1 Z5 F5000\nG1 X10 Y3 F6000\nG1 Z0.3 F1000\nG1 X60 E6 F1000\nG1 X90 E9 F1000"
-)
+START = r"M83\nM140 S60\nM104 S210\nG28\nG1 Z5 F5000\nG1 X10 Y3 F6000\nG1 Z0.3 F1000\nG1 X60 E6 F1000\nG1 X90 E9 F1000"
 SETTINGS = {
     "bed_shape": "0x0,250x0,250x210,0x210", "nozzle_diameter": "0.4", "filament_diameter": "1.75",
     "layer_height": "0.3", "first_layer_height": "0.3", "perimeters": "2", "fill_density": "12%",
@@ -55,6 +53,7 @@ def tug() -> trimesh.Geometry:
 
 def bracket() -> trimesh.Geometry:
     """A shelf bracket, 22 x 16 x 20 mm: two plates and two gussets."""
+
     def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float) -> trimesh.Trimesh:
         return hull(*[(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)])
 

@@ -175,6 +175,7 @@ def _bed_texture(bed_mm: tuple[float, float], surface: str, rng: np.random.Gener
 
 def _scribble(texture: np.ndarray, bed_mm: tuple[float, float], surface: str, rng: np.random.Generator) -> None:
     """Grid, scale, and the scratches and glue marks of use."""
+
     def at(x_mm: float, y_mm: float) -> tuple[int, int]:
         return int((x_mm + _MARGIN_MM) / _TEXEL_MM), int((y_mm + _MARGIN_MM) / _TEXEL_MM)
 

@@ -69,7 +69,7 @@ class MoopApi(BlueprintPlugin):
     def post_watch(self) -> Any:
         watching = body().get("watching")
         if not isinstance(watching, bool):
-            flask.abort(400, "Send {\"watching\": true} or {\"watching\": false}.")
+            flask.abort(400, 'Send {"watching": true} or {"watching": false}.')
         self._watch.watch_this_print(watching)
         return flask.jsonify({})
 

@@ -108,7 +108,9 @@ def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) 
     return {"lines": [line.to_json() for line in lines]}, []
 
 
-def replay(blobs: list[bytes], recording: str, material: dict[str, Any], settings: dict[str, Any], masks: str) -> Answer:
+def replay(
+    blobs: list[bytes], recording: str, material: dict[str, Any], settings: dict[str, Any], masks: str
+) -> Answer:
     """What would have been concluded from a recording with these settings and this filament: checks and a summary.
 
     masks : a folder for the masks of each check: 12.seen.png, 12.expected.png, 12.ignored.png
@@ -134,7 +136,11 @@ def replay(blobs: list[bytes], recording: str, material: dict[str, Any], setting
             checks.append(inspector.check(opened.frame(moment), moment))
             if inspector.pictures is not None:
                 pictures = inspector.pictures
-                for kind, mask in (("seen", pictures.observed), ("expected", pictures.expected), ("ignored", pictures.ignored)):
+                for kind, mask in (
+                    ("seen", pictures.observed),
+                    ("expected", pictures.expected),
+                    ("ignored", pictures.ignored),
+                ):
                     Path(masks, f"{number}.{kind}.png").write_bytes(encode_mask(mask))
     lines = [{**check.to_json(), "id": number} for number, check in enumerate(checks)]
     return {"checks": lines, "summary": Summary.of(checks).to_json()}, []

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import sys
-from typing import Any, Optional
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-
 WIDTH, HEIGHT = 320, 240
 
 
-def chromium_path() -> Optional[str]:
+def chromium_path() -> str | None:
     """The first Chromium that this machine has."""
     return next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
@@ -37,6 +37,7 @@ def log_in(page: Any, url: str, user: str, password: str) -> None:
 def wait_for_page(page: Any) -> None:
     page.wait_for_function("window.OctoPrint && OctoPrint.coreui && OctoPrint.coreui.startedUp", timeout=60_000)
     page.evaluate("PNotify.removeAll()")  # pop-ups cover buttons
+
 
 # What dark themes and one-column layouts do to OctoPrint's page: CSS over it, nothing else.
 DARK = """
@@ -93,7 +94,13 @@ class Canned:
         self.checks = list(checks)
         last = {**checks[-1], "age_s": 12.0} if checks else None
         self.status.update(
-            watching=True, blind=None, job="plate.gcode", layers=120, layer=checks[-1]["layer"] if checks else 0, checks=len(checks), last_check=last
+            watching=True,
+            blind=None,
+            job="plate.gcode",
+            layers=120,
+            layer=checks[-1]["layer"] if checks else 0,
+            checks=len(checks),
+            last_check=last,
         )
         if last and last["verdict"] == "failed":
             self.status.update(action="pause", reason=last["reason"])

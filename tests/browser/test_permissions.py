@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterator
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,14 @@ GUEST, PASSWORD = "onlooker", "only-looking"
 @pytest.fixture(scope="module")
 def onlooker(chromium: Any, server: DemoServer) -> Iterator[Any]:
     """The tab as a user sees it who may look at OctoPrint and nothing else."""
-    user = {"name": GUEST, "password": PASSWORD, "active": True, "admin": False, "groups": ["readonly"], "permissions": []}
+    user = {
+        "name": GUEST,
+        "password": PASSWORD,
+        "active": True,
+        "admin": False,
+        "groups": ["readonly"],
+        "permissions": [],
+    }
     server.api("POST", "/api/access/users", json=user)
     context = chromium.new_context(viewport={"width": 1280, "height": 1000})
     page = context.new_page()

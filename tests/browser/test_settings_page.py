@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Iterator
+from collections.abc import Iterator
+from typing import Any, Callable
 
 import pytest
 
@@ -86,7 +87,9 @@ def test_a_click_on_the_filament_takes_its_colour(settings_page: Any) -> None:
     canvas.click(position={"x": 90 / 320 * box["width"], "y": 120 / 240 * box["height"]})
     low, high = (float(page.input_value(field(name))) for name in ("hue_min_deg", "hue_max_deg"))
     assert low < 219 < high and high - low < 60  # the block's colour is (200, 90, 30) in BGR: hue 219
-    page.wait_for_function("document.querySelector('#moop_settings_filament [data-test-id=moop-filament-share]').innerText.includes('4.7 %')")
+    page.wait_for_function(
+        "document.querySelector('#moop_settings_filament [data-test-id=moop-filament-share]').innerText.includes('4.7 %')"
+    )
 
 
 def test_the_ring_can_be_dragged(settings_page: Any) -> None:

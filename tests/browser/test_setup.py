@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterator
+from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,7 +67,9 @@ class Stage:
             along = np.linspace(0, 1, 6)[:-1, None]
             edge = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0))])
             room = edge @ rotation.T + [x, y, 330]
-            cv2.fillPoly(picture, [np.round(lens.project(room) * 16).astype(np.int32)], (colour,) * 3, cv2.LINE_AA, shift=4)
+            cv2.fillPoly(
+                picture, [np.round(lens.project(room) * 16).astype(np.int32)], (colour,) * 3, cv2.LINE_AA, shift=4
+            )
 
         fill(-90, -67.5, 90, 67.5, 245)
         for column in range(10):
@@ -82,9 +85,10 @@ def stage() -> Stage:
 
 @pytest.fixture(scope="module")
 def bare_server(stage: Stage, tmp_path_factory: pytest.TempPathFactory) -> Iterator[DemoServer]:
-    with SnapshotServer(stage.jpeg) as webcam, DemoServer(
-        tmp_path_factory.mktemp("bare"), snapshot_url=webcam.url, octoprint_python=OCTOPRINT
-    ) as running:
+    with (
+        SnapshotServer(stage.jpeg) as webcam,
+        DemoServer(tmp_path_factory.mktemp("bare"), snapshot_url=webcam.url, octoprint_python=OCTOPRINT) as running,
+    ):
         yield running
 
 
@@ -93,7 +97,10 @@ def page(chromium: Any, bare_server: DemoServer) -> Iterator[Any]:
     context = chromium.new_context(viewport={"width": 1280, "height": 1600})
     page = context.new_page()
     errors: list[str] = []
-    page.on("console", lambda message: errors.append(f"{message.text} {message.location}") if message.type == "error" else None)
+    page.on(
+        "console",
+        lambda message: errors.append(f"{message.text} {message.location}") if message.type == "error" else None,
+    )
     page.on("pageerror", lambda error: errors.append(str(error)))
     log_in(page, bare_server.url, bare_server.user, bare_server.password)
     page.click("#tab_plugin_moop_link a")
@@ -139,7 +146,7 @@ def test_nothing_moves_before_the_person_has_agreed(page: Any, bare_server: Demo
     page.on("request", lambda request: jogs.append(request.url) if "printhead" in request.url else None)
     page.click(".modal:visible a:has-text('Cancel')")
     page.wait_for_timeout(600)
-    assert jogs == [] and "jog" not in bare_server.log_text()[len(before):]
+    assert jogs == [] and "jog" not in bare_server.log_text()[len(before) :]
 
 
 def test_the_lens_is_found_from_pictures_of_a_checkerboard(page: Any, stage: Stage) -> None:

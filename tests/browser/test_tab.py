@@ -23,7 +23,8 @@ def view_model(page: Any, expression: str) -> Any:
 def push(page: Any, message: dict[str, Any]) -> None:
     """As if the server had sent it over the socket."""
     page.evaluate(
-        "message => ko.dataFor(document.getElementById('moop_watch')).onDataUpdaterPluginMessage('moop', message)", message
+        "message => ko.dataFor(document.getElementById('moop_watch')).onDataUpdaterPluginMessage('moop', message)",
+        message,
     )
 
 
@@ -174,7 +175,11 @@ def test_the_buttons_ask_the_server_for_what_they_say(canned: Canned, open_tab: 
 
 
 def test_names_and_reasons_are_shown_as_text_and_never_run(canned: Canned, open_tab: Open) -> None:
-    nasty = {**FAILED, "reason": TROUBLE, "objects": [{"name": TROUBLE, "E": 0.1, "verdict": "failed", "mode": "warping"}]}
+    nasty = {
+        **FAILED,
+        "reason": TROUBLE,
+        "objects": [{"name": TROUBLE, "E": 0.1, "verdict": "failed", "mode": "warping"}],
+    }
     canned.print_of(nasty, action="notify", job=TROUBLE)
     page = open_tab()
     push(page, {"type": "failed", "check": nasty, "action": "notify"})
@@ -213,7 +218,9 @@ def test_a_refused_request_is_told_in_the_servers_words(canned: Canned, open_tab
     canned.print_of(check(0))
     page = open_tab()
     page.expected_errors.append("409")
-    page.route("**/plugin/moop/check", lambda route: route.fulfill(status=409, json={"code": "frame", "message": "Too dark."}))
+    page.route(
+        "**/plugin/moop/check", lambda route: route.fulfill(status=409, json={"code": "frame", "message": "Too dark."})
+    )
     page.wait_for_selector("[data-test-id=moop-check-now]:not([disabled])")
     page.click("[data-test-id=moop-check-now]")
     page.wait_for_selector("[data-test-id=moop-trouble]:has-text('Too dark.')")

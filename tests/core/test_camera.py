@@ -93,7 +93,7 @@ def test_the_lens_reaches_out_to_where_its_polynomial_turns_back(lens):
     tangent = np.linspace(0.01, edge, 50)
     rays = np.stack([tangent, 0 * tangent, 1 + 0 * tangent], axis=1)
     plain = Camera((640, 480), np.eye(3), camera.distortion * [1, 1, 0, 0, *[1] * (camera.distortion.size - 4)]
-                   if camera.model == "pinhole" else camera.distortion, np.zeros(3), np.zeros(3), camera.model)  # fmt: skip  # noqa: E501
+                   if camera.model == "pinhole" else camera.distortion, np.zeros(3), np.zeros(3), camera.model)  # fmt: skip
     assert np.allclose(plain.project(rays)[:, 0], radial_px(camera, tangent), atol=1e-9)
     assert (np.diff(plain.project(rays)[:, 0]) > -1e-6).all()
 

@@ -41,7 +41,9 @@ def named(layer: int, matter: np.ndarray, object_id: int = WHOLE, good_upto: int
 def test_what_lies_above_a_layer_and_is_displaced_is_a_layer_shift_with_its_distance(right, way):
     found = named(23, walls(20) | moved(wall(0, 23, 21) | wall(1, 23, 21), right, 0))
     assert found.mode == "layer_shift"
-    assert found.sentence == f"Everything above layer 21 is shifted by about {abs(right) / PX_PER_MM:.0f} mm to the {way}."
+    assert (
+        found.sentence == f"Everything above layer 21 is shifted by about {abs(right) / PX_PER_MM:.0f} mm to the {way}."
+    )
 
 
 def test_a_wall_that_moved_as_a_whole_has_come_off():

@@ -35,7 +35,7 @@ class Counting(CvRenderer):
         return super().birth_map(toolpath, camera, room_from_print_mm, beads)
 
 
-def views(toolpath, bed=BedMotion(), **options):  # noqa: B008
+def views(toolpath, bed=BedMotion(), **options):
     return ExpectedViews(toolpath, CAMERA, bed, Counting(), **options)
 
 

@@ -42,7 +42,11 @@ def test_a_bed_with_its_origin_in_the_middle_is_drawn_round_nought() -> None:
 
 
 def test_a_lens_bends_the_lines() -> None:
-    bent = [line.points_px for line in guides(camera((-0.3, 0, 0, 0, 0), 400.0), Printer(200, 200, 200)) if line.what == "bed"]
+    bent = [
+        line.points_px
+        for line in guides(camera((-0.3, 0, 0, 0, 0), 400.0), Printer(200, 200, 200))
+        if line.what == "bed"
+    ]
     for line in bent:
         along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
         away_px = (line - line[0]) @ [along[1], -along[0]]
@@ -51,7 +55,9 @@ def test_a_lens_bends_the_lines() -> None:
 
 def test_what_lies_behind_the_camera_is_left_out() -> None:
     rotation = cv2.Rodrigues(np.array([-np.pi / 2, 0, 0]))[0].T  # from the bed's middle along y
-    standing = Camera((640, 480), camera().K, np.zeros(5), cv2.Rodrigues(rotation)[0].ravel(), -rotation @ [100.0, 100, 20])
+    standing = Camera(
+        (640, 480), camera().K, np.zeros(5), cv2.Rodrigues(rotation)[0].ravel(), -rotation @ [100.0, 100, 20]
+    )
     lines = guides(standing, Printer(200, 200, 200))
     assert all(np.isfinite(line.points_px).all() for line in lines)
     assert 0 < len(lines) < 4 + 8 + 12

@@ -7,9 +7,10 @@ as far as they tell it and from what webcams usually have; the accuracy that res
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any, Sequence
+from typing import Any
 
 import cv2
 import numpy as np

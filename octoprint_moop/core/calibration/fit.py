@@ -79,9 +79,7 @@ def least_squares(
     return Solution(values, misses, weights, covariance_of(slopes, weights, variance * correlated), slopes)
 
 
-def numeric_slopes(
-    function: Callable[[np.ndarray], np.ndarray], values: np.ndarray, steps: np.ndarray
-) -> np.ndarray:
+def numeric_slopes(function: Callable[[np.ndarray], np.ndarray], values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """(..., P) float64: central differences of a function of P values."""
     return np.stack(
         [(function(values + step) - function(values - step)) / (2 * step.sum()) for step in np.diag(steps)], axis=-1

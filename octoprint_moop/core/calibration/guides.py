@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -51,10 +52,10 @@ def _lines_mm(printer: Printer) -> Iterator[tuple[str, np.ndarray]]:
     middle = np.array([(left + right) / 2, (front + back) / 2])
     half, height = np.array(BOX_MM[:2]) / 2, BOX_MM[2]
     feet = [middle + half * sign for sign in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    for start, end in zip(feet, feet[1:] + feet[:1]):
-        yield "box", np.array([[*start, 0], [*end, 0]])
-        yield "box", np.array([[*start, height], [*end, height]])
-        yield "box", np.array([[*start, 0], [*start, height]])
+    for foot, next_foot in zip(feet, feet[1:] + feet[:1]):
+        yield "box", np.array([[*foot, 0], [*next_foot, 0]])
+        yield "box", np.array([[*foot, height], [*next_foot, height]])
+        yield "box", np.array([[*foot, 0], [*foot, height]])
 
 
 def _visible(camera: Camera, points_mm: np.ndarray) -> Iterator[np.ndarray]:
@@ -62,7 +63,7 @@ def _visible(camera: Camera, points_mm: np.ndarray) -> Iterator[np.ndarray]:
     points_px = camera.project(points_mm)
     margin = 0.25 * np.array(camera.image_size_px)
     with np.errstate(invalid="ignore"):
-        near = ((points_px > -margin) & (points_px < camera.image_size_px + margin)).all(axis=1)
+        near = np.all((points_px > -margin) & (points_px < camera.image_size_px + margin), axis=1)
     for run in np.split(np.arange(len(points_px)), np.flatnonzero(np.diff(near)) + 1):
         if near[run[0]] and len(run) > 1:
             yield points_px[run]

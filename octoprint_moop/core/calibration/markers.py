@@ -8,8 +8,9 @@ another. Which of them are the markers is decided in `assign`, where their place
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Mapping
+from typing import Any
 
 import cv2
 import numpy as np

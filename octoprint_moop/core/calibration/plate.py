@@ -7,8 +7,9 @@ alike: whichever way the camera is turned, they cannot be taken for each other.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Mapping
+from typing import Any
 
 import numpy as np
 

@@ -8,8 +8,9 @@ hull of both rims, drawn through the lens) are fitted to the edges measured in t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Callable, Sequence
+from typing import Any, Callable
 
 import cv2
 import numpy as np

@@ -6,8 +6,9 @@ is the calibration's fault; what it does not explain is the print's, the segment
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Sequence
+from typing import Any
 
 import cv2
 import numpy as np

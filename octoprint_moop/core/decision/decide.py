@@ -9,9 +9,9 @@ cumulative sum (1954), so that two weak ones or one strong one make a failure, a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
-from typing import Sequence
 
 from .evidence import WINDOWS, Evidence
 

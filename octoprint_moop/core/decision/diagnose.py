@@ -9,7 +9,7 @@ layer, by the distance that explains most.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Optional, Protocol
+from typing import Callable, Protocol
 
 import cv2
 import numpy as np
@@ -159,9 +159,9 @@ class _Scope:
                 first = layer
         return first
 
-    def moved_whole(self) -> Optional[_Move]:
+    def moved_whole(self) -> _Move | None:
         """How what stood there has moved as a whole; None where that doesn't explain what differs."""
-        best: Optional[_Move] = None
+        best: _Move | None = None
         loose = self._loose()
         rest = self._standing & ~loose
         for turn_deg in TURNS_DEG:
@@ -182,9 +182,9 @@ class _Scope:
         loose[0] = False
         return loose[labels]
 
-    def shift_above(self, covered: Callable[[int], np.ndarray]) -> Optional[_Move]:
+    def shift_above(self, covered: Callable[[int], np.ndarray]) -> _Move | None:
         """From which layer on everything is displaced; None where that doesn't explain what differs."""
-        best: Optional[_Move] = None
+        best: _Move | None = None
         for back in (0, 1, 2, 3, 5, 8):
             layer = self._layer - back
             if layer < 1 or self.stray_px < 0.2 * self.wrong_px:
@@ -197,7 +197,7 @@ class _Scope:
                 best = _Move(move.from_px, move.to_px, move.explained_ratio, layer)
         return best if best and best.explained_ratio >= 1.2 * EXPLAINED_RATIO else None
 
-    def _best_move(self, part: np.ndarray, standing: np.ndarray) -> Optional[_Move]:
+    def _best_move(self, part: np.ndarray, standing: np.ndarray) -> _Move | None:
         """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
         rows, columns = np.nonzero(part)
         if len(rows) < 20:

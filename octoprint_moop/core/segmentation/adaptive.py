@@ -72,7 +72,7 @@ class AdaptiveSegmenter:
         inside = cv2.erode(expected.mask, np.ones((2 * _INSIDE_PX + 1,) * 2, np.uint8))
         filament = (inside > 0) & (observed.mask > 0) & (observed.unsure == 0)
         if self._plate is not None and self._plate.known.shape == filament.shape:
-            filament &= self._not_the_bed(colours)
+            filament &= self._not_the_bed(self._plate, colours)
         outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
         background = outside & (observed.mask == 0) & (observed.unsure == 0)
         # its edge too, a mixture of both, and so is what lies just outside: there they must be told apart
@@ -91,9 +91,9 @@ class AdaptiveSegmenter:
         if not self._bed_moves:
             self._remember_plate(colours, filament, background)
 
-    def _not_the_bed(self, colours: np.ndarray) -> np.ndarray:
+    def _not_the_bed(self, plate: Plate, colours: np.ndarray) -> np.ndarray:
         """(H, W) bool: False where the plate's background is seen unchanged."""
-        return (self._plate.known >= 0) | (_distance(colours, self._plate.colours) > _CHANGED)
+        return (plate.known >= 0) | (_distance(colours, plate.colours) > _CHANGED)
 
     def _remember_plate(self, colours: np.ndarray, filament: np.ndarray, background: np.ndarray) -> None:
         known = np.zeros(colours.shape[:2], np.int8)
@@ -118,7 +118,7 @@ class AdaptiveSegmenter:
         if filament is None:
             lies = expected.mask > 0
             if self._plate is not None and self._plate.known.shape == lies.shape:
-                lies &= self._not_the_bed(colours)
+                lies &= self._not_the_bed(self._plate, colours)
             filament = count_colours(colours, lies)
         return ColourModel(filament, background)
 

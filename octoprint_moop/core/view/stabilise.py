@@ -9,8 +9,8 @@ gantry, a hand and whatever else moves by itself. Pixels on the bed are looked f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Sequence
 
 import cv2
 import numpy as np
@@ -87,7 +87,8 @@ class Stabiliser:
     def _level(
         self, scale: int, grey: np.ndarray, background: np.ndarray, shift_mm: np.ndarray, bed_size_mm: Sequence[float]
     ) -> _Level:
-        gradient = np.stack([cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8)], -1)
+        right, down = (cv2.Sobel(grey, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+        gradient = np.stack([right, down], -1)
         strength = (gradient**2).sum(-1)
         strength[cv2.resize(background, grey.shape[::-1], interpolation=cv2.INTER_NEAREST) == 0] = 0
         strength[:2], strength[-2:], strength[:, :2], strength[:, -2:] = 0, 0, 0, 0
