@@ -57,9 +57,9 @@ class Settings:
 
     webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")
     capture: str = choice(
-        "park", CAPTURES,
-        "Where the head is when a picture is taken: moved out of the picture where it stands over the print, or left "
-        "as it stands, or where the slicer's own moves have brought it before an @moop.",
+        "stand", CAPTURES,
+        "Where the head is when a picture is taken: left as it stands, or moved out of the picture where it stands over "
+        "the print, or where the slicer's own moves have brought it before an @moop.",
     )  # fmt: skip
     park_at: str = text("", "Where to park: x,y in mm. Empty for an edge of the bed away from the print.")
     park_lift_mm: float = number(1.0, 0.0, 20.0, "mm", "How far to lift the head on the way there and back.")

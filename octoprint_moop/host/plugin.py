@@ -21,7 +21,7 @@ from .api import MoopApi
 from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
 
-REPOSITORY = ("moop3d", "OctoPrint-MOOP")
+REPOSITORY = ("octoprint-moop", "octoprint_moop")
 
 
 class MoopPlugin(

@@ -16,6 +16,7 @@ from .room import Room
 def shared_room(tmp_path_factory):
     with Room(tmp_path_factory.mktemp("room"), os.environ.get("MOOP_OCTOPRINT", sys.executable)) as room:
         room.set_up()
+        room.save(capture="park")  # its webcam shows no head, so none may stand before the print
         room.warm_up()
         yield room
 

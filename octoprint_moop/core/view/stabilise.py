@@ -79,7 +79,6 @@ class Stabiliser:
         shift_mm = bed.room_from_print_mm(reference_position_mm)
         pyramid = _pyramid(reference_bgr, self._scales)
         self._looked_for: tuple[np.ndarray, list[np.ndarray], list[np.ndarray]] | None = None
-        self._looked_for: tuple[np.ndarray, list[np.ndarray], list[np.ndarray]] | None = None
         self._levels = [
             self._level(scale, grey, background, shift_mm, bed_size_mm) for scale, grey in zip(self._scales, pyramid)
         ]
