@@ -149,7 +149,7 @@ class Inspector:
         if steady.moved:
             return Check(moment, CAMERA_MOVED, reason=steady.moved)
         expected = view.expected(moment)
-        seen = view.segmenter.observe(steady.frame, expected)
+        seen = view.observe(steady, expected)
         observed = seen.mask
         hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
@@ -166,7 +166,7 @@ class Inspector:
             self._good_checks += 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if self._good_checks <= LEARN_AT_FIRST or self._good_checks % LEARN_EVERY == 0:
-                view.segmenter.learn(steady.frame, expected, seen)
+                view.learn(steady, expected, seen)
         return check
 
     @staticmethod

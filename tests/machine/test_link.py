@@ -109,7 +109,7 @@ def test_the_real_eye_answers_and_survives_what_it_cannot_read():
 def test_the_server_loads_no_library_that_only_the_eye_needs():
     pytest.importorskip("octoprint")
     code = (
-        "import sys, octoprint_moop.plugin; "
+        "import sys, octoprint_moop.host.plugin; "
         "print([name for name in ('cv2', 'numpy', 'trimesh', 'moderngl') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

@@ -146,7 +146,9 @@ def blame(outcomes: Sequence[Outcome]) -> list[Outcome]:
     sources = {
         outcome.object_id
         for outcome in outcomes
-        if outcome.object_id >= 0 and outcome.verdict == FAILED and max(outcome.size("lost"), outcome.size("fresh")) >= 1
+        if outcome.object_id >= 0
+        and outcome.verdict == FAILED
+        and max(outcome.size("lost"), outcome.size("fresh")) >= 1
     }
     return [
         replace(outcome, verdict=SUSPECT)

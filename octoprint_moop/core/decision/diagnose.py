@@ -92,7 +92,9 @@ def _old_moved(scope: _Scope, place: Place) -> Diagnosis:
     if gone or move:
         if not move:
             return Diagnosis(DETACHMENT, "The print has come off.")
-        return Diagnosis(DETACHMENT, f"The print has come off: it lies about {_distance(place, move, 0.0)} from its place.")
+        return Diagnosis(
+            DETACHMENT, f"The print has come off: it lies about {_distance(place, move, 0.0)} from its place."
+        )
     corner, lift_px = scope.lifted()
     at = np.array([corner, (corner[0] + 1.0, corner[1])])
     px_per_mm = 1 / max(float(np.linalg.norm(np.diff(place.on_bed_mm(at, 0.0), axis=0))), 1e-6)

@@ -131,7 +131,9 @@ def find(sight: Sight, memory: Memory) -> Findings:
     rim = outside & near_wanted & (cv2.dilate(wanted_u8, disc(RIM_PX)) == 0)
     layer_of = sight.print_map.layer[window]
     recent = wanted & known & ~memory.given_up(there) & (layer_of > sight.layer - WINDOWS[-1])
-    later = recent & (layer_of > 0)  # the first layer covers so much at once that shares with it say nothing of the next
+    later = recent & (
+        layer_of > 0
+    )  # the first layer covers so much at once that shares with it say nothing of the next
     look = cv2.blur(sight.frame_bgr[there], (3, 3))
     # segmentation that expects matter may see it in a shadow: what has not changed at all has not come either
     unchanged = memory.looks_unchanged(there, look, recent & observed)

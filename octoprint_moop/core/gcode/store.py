@@ -53,7 +53,7 @@ class Column:
         self._put(rows)
 
     def _put(self, rows: np.ndarray) -> None:
-        self._file.write(memoryview(np.ascontiguousarray(rows, self._dtype)).cast("B"))
+        self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
 
     def blocks(self) -> list[tuple[int, int]]:
         """The column cut into pieces that fit into memory: (first, last)."""

@@ -109,10 +109,11 @@ class AdaptiveSegmenter:
         """The colours learned; before any, those of this frame: matter where it must lie and the bed does not show."""
         if frame_bgr is None or expected is None or (self._filament is not None and self._background.any()):
             if self._model is None:
-                filament = np.zeros_like(self._background) if self._filament is None else self._filament
-                self._model = ColourModel(filament, self._background)
+                known = np.zeros_like(self._background) if self._filament is None else self._filament
+                self._model = ColourModel(known, self._background)
             return self._model
-        colours, filament, background = opponent(frame_bgr), self._filament, self._background
+        colours, background = opponent(frame_bgr), self._background
+        filament = self._filament
         if not background.any():
             background = count_colours(colours, expected.complete == 0)
         if filament is None:

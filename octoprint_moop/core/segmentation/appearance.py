@@ -48,9 +48,9 @@ def _smooth(histogram: np.ndarray) -> np.ndarray:
     """The histogram (float32, flat) blurred by one cell along each axis, so that a few hundred pixels fill it."""
     side = 1 << _BITS
     kernel = cv2.getGaussianKernel(7, 1.0).astype(np.float32)
-    cube = histogram.astype(np.float32).reshape(side, side * side)
+    flat = histogram.astype(np.float32).reshape(side, side * side)
     one = np.ones((1, 1), np.float32)
-    cube = cv2.sepFilter2D(cube, -1, one, kernel).reshape(side, side, side)
+    cube = cv2.sepFilter2D(flat, -1, one, kernel).reshape(side, side, side)
     return np.stack([cv2.sepFilter2D(plane, -1, kernel, kernel) for plane in cube]).reshape(-1)
 
 

@@ -35,7 +35,7 @@ class Explanation:
 
 
 def _moved(mask: np.ndarray, x_px: int, y_px: int) -> np.ndarray:
-    shift = np.float32([[1, 0, x_px], [0, 1, y_px]])
+    shift = np.array([[1, 0, x_px], [0, 1, y_px]], np.float32)
     return cv2.warpAffine(mask, shift, (mask.shape[1], mask.shape[0]), flags=cv2.INTER_NEAREST)
 
 

@@ -157,12 +157,12 @@ def label_from_clicks(
     # nearness to the clicks decides where colour does not, and a print is not far from where it was clicked
     to_on, to_off = (cv2.distanceTransform(cv2.bitwise_not(spot), cv2.DIST_L2, 3) for spot in spots)
     rows, columns = np.nonzero(spots[0])
-    reach_px = max(np.ptp(rows), np.ptp(columns), 20)
-    seen += 2 * (to_off - to_on) / (to_on + to_off + 1) - 2 * np.clip(to_on / reach_px - 0.3, 0, 1)
+    reach_px = max(int(np.ptp(rows)), int(np.ptp(columns)), 20)
+    seen = seen + 2 * (to_off - to_on) / (to_on + to_off + 1) - 2 * np.clip(to_on / reach_px - 0.3, 0, 1)
     trimap = np.where(seen > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     trimap[spots[1] > 0], trimap[spots[0] > 0] = cv2.GC_BGD, cv2.GC_FGD
     cv2.setRNGSeed(0)  # GrabCut's k-means draws from OpenCV's one generator: the same clicks, the same answer
-    cv2.grabCut(small, trimap, None, np.zeros((1, 65)), np.zeros((1, 65)), 1, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(small, trimap, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 1, cv2.GC_INIT_WITH_MASK)
     cut = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
     label = np.zeros((height, width), np.uint8)
     cut = cut.astype(np.uint8) * np.uint8(255)
@@ -173,9 +173,9 @@ def label_from_clicks(
 def _spread(counts: np.ndarray) -> np.ndarray:
     """Counts of a few pixels, with a little of every colour near them."""
     side = round(len(counts) ** (1 / 3))
-    cube = counts.astype(np.float32).reshape(side, side, side)
+    cube: np.ndarray = counts.astype(np.float32).reshape(side, side, side)
     for axis in range(3):
         turned = np.moveaxis(cube, axis, 0).reshape(side, -1)
-        turned = cv2.GaussianBlur(turned, (1, 13), sigmaX=1, sigmaY=2.0)
-        cube = np.moveaxis(turned.reshape(side, side, side), 0, axis)
+        blurred = cv2.GaussianBlur(turned, (1, 13), sigmaX=1, sigmaY=2.0)
+        cube = np.moveaxis(blurred.reshape(side, side, side), 0, axis)
     return np.ascontiguousarray(cube).reshape(-1).astype(np.float64)

@@ -209,4 +209,4 @@ def weigh(
         size = frame_bgr.shape[1::-1]
         odds = cv2.resize(odds, size, interpolation=cv2.INTER_LINEAR)
         says = cv2.resize(says, size, interpolation=cv2.INTER_LINEAR)
-    return Observation(cv2.compare(odds, 0, cv2.CMP_GT), cv2.inRange(says, -unsure, unsure))
+    return Observation(np.where(odds > 0, np.uint8(255), np.uint8(0)), cv2.inRange(says, -unsure, unsure))

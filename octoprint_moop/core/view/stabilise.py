@@ -176,7 +176,9 @@ class Stabiliser:
         """(n, 3): where the level's pixels would be looked for if the camera had not turned."""
         rays = level.rays.copy()
         on_bed = np.isfinite(level.on_bed_mm[:, 0])
-        in_camera = (level.on_bed_mm[on_bed] + shift_mm - self._camera.centre_mm) @ cv2.Rodrigues(self._camera.rvec)[0].T
+        in_camera = (level.on_bed_mm[on_bed] + shift_mm - self._camera.centre_mm) @ cv2.Rodrigues(self._camera.rvec)[
+            0
+        ].T
         rays[on_bed] = in_camera / np.linalg.norm(in_camera, axis=1, keepdims=True)
         return rays
 
@@ -188,7 +190,7 @@ class Stabiliser:
         height, width = grey.shape
         pixels = np.nan_to_num(pixels, nan=-9.0).astype(np.float32)
         inside = (pixels > 0).all(axis=1) & (pixels[:, 0] < width - 1) & (pixels[:, 1] < height - 1)
-        seen = cv2.remap(grey, pixels.reshape(-1, 1, 2), None, cv2.INTER_LINEAR).ravel()
+        seen = cv2.remap(grey, pixels[:, :1], pixels[:, 1:], cv2.INTER_LINEAR).ravel()
         return seen - level.grey, inside
 
     def _align(

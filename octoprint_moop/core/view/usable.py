@@ -62,7 +62,9 @@ class Occluders:
         """
         small = self._small(frame_bgr)
         changed = np.minimum(_difference(small, self._reference), _difference(small, self._recent)) > COLOUR_STEP
-        print_px = cv2.resize(cv2.dilate(filament, np.ones((13, 13), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA)
+        print_px = cv2.resize(
+            cv2.dilate(filament, np.ones((13, 13), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA
+        )
         changed &= print_px == 0
         blobs = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(blobs)

@@ -14,15 +14,14 @@ from ..expected.hardware import HeadModel
 from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap
 from ..header import Moment, Printer
 from ..segmentation.adaptive import AdaptiveSegmenter
-from ..segmentation.segment import HsvThresholds, Segmenter, ThresholdSegmenter
+from ..segmentation.segment import HsvThresholds, Observation, Segmenter, ThresholdSegmenter
 from ..toolpath import Toolpath
-from .light import Light
+from .backdrop import Backdrop
 from .stabilise import STILL, CameraTurn, Stabiliser
-from .usable import Occluders, refuse_unusable
+from .usable import refuse_unusable
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
-SAME_POSE_MM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,17 +78,15 @@ class View:
     ) -> None:  # fmt: skip
         self._camera, self._printer, self._toolpath = camera, printer, toolpath
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
-        self._reference_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
-        self._bare_bgr = self._reference_bgr
-        self._reference_position_mm = printer.bed.reference_mm
+        self._bare_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._material, self._segmentation = material, segmentation
         self._previous_bgr: np.ndarray | None = None
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
-        self._stabiliser: Stabiliser | None = None
-        self._followed_pose: tuple[float, ...] | None = None
+        self._backdrop: Backdrop | None = None
+        self._segmenter: Segmenter
         self._memory: Memory | None = None
-        self._memory_position_mm = self._reference_position_mm
+        self._memory_position_mm = printer.bed.reference_mm
 
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
@@ -99,9 +96,7 @@ class View:
 
     def print_map(self, moment: Moment) -> PrintMap:
         """Raises RenderError where drawing fails."""
-        return self._expected.map_at(
-            moment.position_mm, moment.file_pos, self._cancelled(moment), parked=moment.parked
-        )
+        return self._expected.map_at(moment.position_mm, moment.file_pos, self._cancelled(moment), parked=moment.parked)
 
     def _cancelled(self, moment: Moment) -> dict[int, int]:
         """By the objects' numbers; a name that the file does not know is passed over."""
@@ -112,7 +107,9 @@ class View:
         """What the pixels have shown so far, carried along where the bed has moved since."""
         if self._memory is None:
             self._memory = Memory(self._bare_bgr, self._camera.image_size_px[::-1])
-            self._memory_position_mm = self._printer.bed.reference_mm if self._bare_bgr is not None else moment.position_mm
+            self._memory_position_mm = (
+                self._printer.bed.reference_mm if self._bare_bgr is not None else moment.position_mm
+            )
         here, before = self._expected.pose(moment.position_mm), self._expected.pose(self._memory_position_mm)
         if here != before:
             self._memory.carried(self._print_motion(np.array(before), np.array(here)))
@@ -138,87 +135,65 @@ class View:
         frame_bgr = fit_frame(frame_bgr, self._camera)
         refuse_unusable(frame_bgr, self._previous_bgr)
         self._previous_bgr = frame_bgr
-        if self._stabiliser is None:
-            self._begin(frame_bgr, moment)
-        self._follow_bed(moment)
-        turn = self._stabiliser.turn(frame_bgr, moment.position_mm)
-        moved = self._notice(turn)
+        backdrop = self._backdrop_at(frame_bgr, moment)
+        turn = backdrop.stabiliser.turn(frame_bgr, moment.position_mm)
+        moved = self._notice(turn, backdrop.stabiliser)
         outside = np.zeros(frame_bgr.shape[:2], np.uint8)
         if turn is not STILL:
-            frame_bgr, outside = self._stabiliser.undo(frame_bgr, turn)
-        frame_bgr, _ = self._light.level(frame_bgr)
+            frame_bgr, outside = backdrop.stabiliser.undo(frame_bgr, turn)
+        frame_bgr, _ = backdrop.light.level(frame_bgr)
         return SteadyFrame(frame_bgr, outside, moved)
+
+    def observe(self, steady: SteadyFrame, expected: Expected) -> Observation:
+        """Which pixels of a frame from `steady` are filament."""
+        return self._segmenter.observe(steady.frame, expected)
+
+    def learn(self, steady: SteadyFrame, expected: Expected, seen: Observation) -> None:
+        """All is well in this frame: so look filament and background in this print."""
+        self._segmenter.learn(steady.frame, expected, seen)
 
     def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
         """(H, W) uint8, 255 where something newly hides the view."""
-        return self._occluders.find(steady.frame, filament | self._unknown)
+        assert self._backdrop is not None
+        return self._backdrop.occluders.find(steady.frame, filament | self._backdrop.unknown)
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
-        self._occluders.accept(steady.frame)
+        assert self._backdrop is not None
+        self._backdrop.occluders.accept(steady.frame)
 
-    def _begin(self, frame_bgr: np.ndarray, moment: Moment) -> None:
+    def _backdrop_at(self, frame_bgr: np.ndarray, moment: Moment) -> Backdrop:
         """Without a picture of the empty bed the first frame serves: the print is left out of it anyway."""
-        if self._reference_bgr is None:
-            self._reference_bgr, self._reference_position_mm = frame_bgr, moment.position_mm
         exclude = self.expected(moment).complete
-        self._stabiliser = Stabiliser(
-            self._camera, self._printer.bed, (self._printer.width_mm, self._printer.depth_mm), self._reference_bgr,
-            self._reference_position_mm, exclude,
-        )  # fmt: skip
-        self.segmenter = self._choose_segmenter(moment)
+        if self._backdrop is None:
+            if self._bare_bgr is None:
+                reference_bgr, position_mm = frame_bgr, moment.position_mm
+            else:
+                reference_bgr, position_mm = self._bare_bgr, self._printer.bed.reference_mm
+            self._backdrop = Backdrop(self._camera, self._printer, reference_bgr, position_mm, exclude)
+            self._backdrop.follow(moment.position_mm, exclude)
+            self._segmenter = self._choose_segmenter(moment, self._backdrop)
+        self._backdrop.follow(moment.position_mm, exclude)
+        return self._backdrop
 
-    def _choose_segmenter(self, moment: Moment) -> Segmenter:
+    def _choose_segmenter(self, moment: Moment, backdrop: Backdrop) -> Segmenter:
         if self._segmentation == "thresholds" and self._material is not None:
             return ThresholdSegmenter(self._material)
-        moves = not moment.parked and self._printer.bed.kind != "fixed"
-        return AdaptiveSegmenter(self._material, None if moves else self._bare_bgr, bed_moves=moves)
+        kind = self._printer.bed.kind
+        moves = kind == "z" or (kind == "y" and not moment.parked)
+        bare_bgr = None if moves or self._bare_bgr is None else backdrop.picture
+        return AdaptiveSegmenter(self._material, bare_bgr, bed_moves=moves)
 
-    def _follow_bed(self, moment: Moment) -> None:
-        """Have the reference show the bed where it stands now."""
-        pose = self._expected.pose(moment.position_mm)
-        if pose == self._followed_pose:
-            return
-        reference, known = self._reference_at(np.array(pose))
-        self._unknown = cv2.bitwise_not(known)
-        self._light = Light(reference, self.expected(moment).complete | self._unknown)
-        self._occluders = Occluders(reference)
-        self._followed_pose = pose
-
-    def _reference_at(self, shift_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The reference picture with its bed moved to where the bed is now, and (H, W) uint8, 255 where that is known."""
-        reference_shift_mm = np.array(self._expected.pose(self._reference_position_mm))
-        everywhere = np.full(self._reference_bgr.shape[:2], 255, np.uint8)
-        if np.abs(shift_mm - reference_shift_mm).max() < SAME_POSE_MM:
-            return self._reference_bgr, everywhere
-        width, depth = self._printer.width_mm, self._printer.depth_mm
-        corners_mm = np.array([[0, 0, 0], [width, 0, 0], [width, depth, 0], [0, depth, 0]], float)
-        before_px, now_px = (self._camera.project(corners_mm + shift) for shift in (reference_shift_mm, shift_mm))
-        if not (np.isfinite(before_px).all() and np.isfinite(now_px).all()):
-            return self._reference_bgr, np.zeros_like(everywhere)
-        motion = cv2.getPerspectiveTransform(before_px.astype(np.float32), now_px.astype(np.float32))
-        size = self._camera.image_size_px
-        moved = cv2.warpPerspective(self._reference_bgr, motion, size, borderMode=cv2.BORDER_REPLICATE)
-        seen = cv2.warpPerspective(everywhere, motion, size)
-        bed_before, bed_now = (np.zeros_like(everywhere) for _ in range(2))
-        cv2.fillConvexPoly(bed_before, before_px.round().astype(np.int32), 255)
-        cv2.fillConvexPoly(bed_now, now_px.round().astype(np.int32), 255)
-        picture = np.where(bed_now[..., None] > 0, moved, self._reference_bgr)
-        # what the bed stood before is seen now for the first time, and its rim is a thing of its own
-        known = np.where(bed_now > 0, seen, cv2.bitwise_not(bed_before))
-        rim = cv2.morphologyEx(bed_now | bed_before, cv2.MORPH_GRADIENT, np.ones((15, 15), np.uint8))
-        return picture, known & cv2.bitwise_not(rim)
-
-    def _notice(self, turn: CameraTurn) -> str:
+    def _notice(self, turn: CameraTurn, stabiliser: Stabiliser) -> str:
         """The sentence where the camera has moved far and not yet stood still at its new place; else "".
 
         A turn that two frames agree on is where the camera stands from now on: its view is found again.
         """
         finer = self._camera.image_size_px[0] / 640
-        if self._stabiliser.apart_px(turn, self._turn) < MOVED_PX * finer:
+        if stabiliser.apart_px(turn, self._turn) < MOVED_PX * finer:
             self._turn = self._pending = turn
             return ""
-        if self._stabiliser.apart_px(turn, self._pending) < SAME_TURN_PX * finer:
+        if stabiliser.apart_px(turn, self._pending) < SAME_TURN_PX * finer:
             self._turn = turn
             return ""
         self._pending = turn
