@@ -63,6 +63,11 @@ def test_one_that_is_strong_needs_no_second():
     assert verdicts(after_good(), evidence(lost=4 * LIMIT_PX)) == [FAILED]
 
 
+def test_the_first_check_of_a_print_is_never_a_failure_but_the_second_may_be():
+    strong = evidence(stray=20 * LIMIT_PX)
+    assert verdicts(Track(), strong, strong) == [SUSPECT, FAILED]
+
+
 def test_weak_evidence_that_stays_becomes_a_failure():
     """Nine tenths of a limit, check after check: Page's sum grows by 0.9 less the slack each time."""
     found = verdicts(after_good(), *[evidence(lost=int(0.9 * LIMIT_PX))] * 25)
@@ -82,7 +87,7 @@ def test_a_share_of_fresh_matter_is_compared_with_its_own_past():
 
 def test_before_there_is_a_past_only_barren_matter_tells_of_a_clog():
     assert verdicts(Track(), evidence(share=0.0)) == [OK]
-    assert verdicts(Track(), evidence(barren=800)) == [FAILED]
+    assert verdicts(Track(), *[evidence(barren=800)] * 2) == [SUSPECT, FAILED]
 
 
 @pytest.mark.parametrize(("sensitivity", "verdict"), [("low", OK), ("medium", SUSPECT), ("high", SUSPECT)])
@@ -109,15 +114,15 @@ def test_a_pardon_makes_the_same_scope_less_easily_surprised():
 
 def test_only_the_object_that_lost_matter_is_named_for_what_lies_beside_others():
     outcomes = [
-        judge(Track(), evidence(lost=900, stray=900), "medium")[0],
-        judge(Track(), evidence(lost=900, object_id=0), "medium")[0],
-        judge(Track(), evidence(stray=700, object_id=1), "medium")[0],
+        judge(after_good(), evidence(lost=900, stray=900), "medium")[0],
+        judge(after_good(), evidence(lost=900, object_id=0), "medium")[0],
+        judge(after_good(), evidence(stray=700, object_id=1), "medium")[0],
     ]
     assert [outcome.verdict for outcome in blame(outcomes)] == [FAILED, FAILED, SUSPECT]
 
 
 def test_two_objects_that_both_lost_matter_are_both_named():
-    outcomes = [judge(Track(), evidence(lost=900, object_id=number), "medium")[0] for number in (0, 1)]
+    outcomes = [judge(after_good(), evidence(lost=900, object_id=number), "medium")[0] for number in (0, 1)]
     assert [outcome.verdict for outcome in blame(outcomes)] == [FAILED, FAILED]
 
 

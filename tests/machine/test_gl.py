@@ -96,7 +96,7 @@ print(rss_mb() - before)
 def test_opengl_3_1_is_enough():
     code = """
 import numpy as np
-from octoprint_moop.core.raster import CvRenderer
+from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.machine.gl import GlRenderer
 from tests.made import camera_at, vase
 camera = camera_at((190, -60, 90), (100, 100, 5), "5 coefficients")

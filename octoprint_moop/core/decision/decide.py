@@ -132,7 +132,10 @@ def judge(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Outcome, 
     found = surprises(track, evidence, sensitivity)
     size = found[0].size
     cusum = max(0.0, track.cusum + min(size, DECISIVE + SLACK) - SLACK)
-    if size >= DECISIVE or (size >= 1 and cusum >= CUSUM_FAILED) or (size >= SLACK and cusum >= CUSUM_ALONE):
+    # a first check has nothing to be compared with: a camera that is set up wrongly looks just like a failure then
+    first = not track.lost and track.cusum == 0
+    enough = size >= DECISIVE or (size >= 1 and cusum >= CUSUM_FAILED) or (size >= SLACK and cusum >= CUSUM_ALONE)
+    if enough and not first:
         verdict = FAILED
     elif size >= 1 or cusum >= 1:
         verdict = SUSPECT
