@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Any, Callable
 
 import cv2
@@ -13,6 +14,7 @@ from .decision.compare import Comparison, compare
 from .decision.decide import (
     CAMERA_MOVED,
     FAILED,
+    GOOD_CHECKS,
     OK,
     SUSPECT,
     UNUSABLE,
@@ -22,10 +24,11 @@ from .decision.decide import (
     blame,
     judge,
     learn,
+    matter_limit,
     pardon,
 )
 from .decision.diagnose import Diagnosis, diagnose
-from .decision.evidence import Findings, Sight, find
+from .decision.evidence import WHOLE, Findings, Sight, find
 from .errors import FrameError, SegmentationError
 from .expected.hardware import HeadModel
 from .expected.views import Expected, MaskRenderer
@@ -105,6 +108,7 @@ class Inspector:
         self._views: dict[str | None, View] = {}
         self._tracks: dict[int, Track] = {}
         self._good_checks = 0
+        self._good_errors: tuple[float, ...] = ()
         self._failed_scopes: set[int] = set()
         self._last: tuple[View, Moment, Sight, Findings] | None = None  # the last check that was judged
         self.pictures: Pictures | None = None
@@ -228,10 +232,22 @@ class Inspector:
             moment,
             worst.verdict,
             comparison,
+            limit=self._limit(comparison, worst.verdict),
             mode=named.mode if named and worst.verdict == FAILED else None,
             reason=self._sentence(worst, named),
             objects=tuple(objects),
         )
+
+    def _limit(self, comparison: Comparison, verdict: str) -> float:
+        """The E that this print's usual one and as much lost or stray matter as is tolerated would make.
+
+        For the plot: the decision weighs pixels and does not ask for E itself.
+        """
+        usual = median(self._good_errors) if self._good_errors else comparison.error_ratio
+        if verdict == OK:
+            self._good_errors = (*self._good_errors, comparison.error_ratio)[-GOOD_CHECKS:]
+        track = self._tracks.get(WHOLE, Track())
+        return usual + matter_limit(track, comparison.total_px, self._settings.sensitivity)
 
     def _sentence(self, worst: Outcome, named: Diagnosis | None) -> str:
         if named is None:

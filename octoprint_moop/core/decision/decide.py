@@ -76,11 +76,17 @@ class Outcome:
         return next(surprise.size for surprise in self.surprises if surprise.kind == kind)
 
 
+def matter_limit(track: Track, total_px: int, sensitivity: str) -> float:
+    """How much lost or stray matter is tolerated, in parts of the complete silhouette."""
+    wide = SENSITIVITIES[sensitivity] * track.wide
+    return wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / max(total_px, 1))
+
+
 def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surprise, ...]:
     """How far each figure lies above what this print has shown, largest first. Pure."""
     wide = SENSITIVITIES[sensitivity] * track.wide
     total = max(evidence.total_px, 1)
-    limit = wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / total)
+    limit = matter_limit(track, total, sensitivity)
     lost = (evidence.lost_px / total - _usual(track.lost)) / limit
     stray = (evidence.stray_px / total - _usual(track.stray)) / limit
     faint = _above(track.rim, evidence.rim_px / total)
