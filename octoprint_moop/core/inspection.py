@@ -239,15 +239,17 @@ class Inspector:
         )
 
     def _limit(self, comparison: Comparison, verdict: str) -> float:
-        """The E that this print's usual one and as much lost or stray matter as is tolerated would make.
+        """The E that is usual in this print, its spread, and as much lost or stray matter as is tolerated.
 
         For the plot: the decision weighs pixels and does not ask for E itself.
         """
-        usual = median(self._good_errors) if self._good_errors else comparison.error_ratio
+        past = self._good_errors or (comparison.error_ratio,)
+        usual = median(past)
+        spread = 1.4826 * median(abs(error - usual) for error in past) if len(past) >= 5 else 0.0
         if verdict == OK:
             self._good_errors = (*self._good_errors, comparison.error_ratio)[-GOOD_CHECKS:]
         track = self._tracks.get(WHOLE, Track())
-        return usual + matter_limit(track, comparison.total_px, self._settings.sensitivity)
+        return usual + 3 * spread + matter_limit(track, comparison.total_px, self._settings.sensitivity)
 
     def _sentence(self, worst: Outcome, named: Diagnosis | None) -> str:
         if named is None:
