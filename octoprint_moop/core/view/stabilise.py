@@ -22,6 +22,7 @@ SEARCH_PX, SEARCH_STEP_PX = 48, 16  # at 640 pixels across: where a first guess 
 POINTS_PER_CELL = 12
 CELLS = (16, 12)
 ITERATIONS = 12
+GLANCE_EVERY = 3  # of the pixels, to tell that nothing has moved
 NOTICEABLE_PX = 0.4
 WARP_GRID = 16  # the warp is smooth: it is computed on a coarse grid and interpolated
 
@@ -127,7 +128,10 @@ class Stabiliser:
         _, rays, jacobians = self._looked_for
         rvec = self._first_guess(rays[0], pyramid[0])
         if not rvec.any():
-            nudge = self._align(finest, rays[-1], jacobians[-1], pyramid[-1], rvec, iterations=2)
+            some = slice(None, None, GLANCE_EVERY)
+            nudge = self._align(
+                finest.thinned(some), rays[-1][some], jacobians[-1][some], pyramid[-1], rvec, iterations=2
+            )
             if self._motion_px(nudge) < NOTICEABLE_PX:
                 return STILL  # the usual case, and the cheap one
         for level, level_rays, jacobian, grey in zip(self._levels, rays, jacobians, pyramid):
@@ -141,7 +145,7 @@ class Stabiliser:
 
     def _first_guess(self, rays: np.ndarray, grey: np.ndarray) -> np.ndarray:
         """(3,) the turn, on a coarse grid, under which the picture matches best; zeros where it matches as it is."""
-        few = slice(None, None, max(1, len(rays) // 400))
+        few = slice(None, None, max(1, len(rays) // 250))
         level = self._levels[0].thinned(few)
 
         def misfit(right_px: float, down_px: float) -> float:
