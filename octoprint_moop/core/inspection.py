@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any, Callable
 
@@ -89,6 +89,17 @@ class Pictures:
     ignored: np.ndarray
 
 
+@dataclass
+class _Past:
+    """What one camera has seen of this print so far; two cameras see two different usual errors."""
+
+    tracks: dict[int, Track] = field(default_factory=dict)
+    good_checks: int = 0
+    good_errors: tuple[float, ...] = ()
+    failed_scopes: set[int] = field(default_factory=set)
+    last: tuple[View, Moment, Sight, Findings] | None = None  # the last check that was judged
+
+
 class Inspector:
     """Looks at one print, frame by frame, in time order. Keeps what it learned of this print so far."""
 
@@ -106,11 +117,7 @@ class Inspector:
         self._settings = settings
         self._reference_bgr = reference_bgr
         self._views: dict[str | None, View] = {}
-        self._tracks: dict[int, Track] = {}
-        self._good_checks = 0
-        self._good_errors: tuple[float, ...] = ()
-        self._failed_scopes: set[int] = set()
-        self._last: tuple[View, Moment, Sight, Findings] | None = None  # the last check that was judged
+        self._pasts: dict[str | None, _Past] = {}
         self.pictures: Pictures | None = None
 
     def accept(self) -> None:
@@ -123,13 +130,16 @@ class Inspector:
         self._begin_anew(pardon)
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
-        if self._last is None:
-            return
-        view, moment, sight, findings = self._last
-        view.memory(moment).accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
-        failed = self._failed_scopes or set(self._tracks)
-        self._tracks = {scope: of(track) if scope in failed else accept(track) for scope, track in self._tracks.items()}
-        self._failed_scopes = set()
+        for past in self._pasts.values():
+            if past.last is None:
+                continue
+            view, moment, sight, findings = past.last
+            view.memory(moment).accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
+            failed = past.failed_scopes or set(past.tracks)
+            past.tracks = {
+                scope: of(track) if scope in failed else accept(track) for scope, track in past.tracks.items()
+            }
+            past.failed_scopes = set()
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
@@ -167,9 +177,10 @@ class Inspector:
         view.accept(steady)
         check = self._judge(view, moment, steady.frame, expected, observed, ignored, comparison)
         if check.verdict == OK:
-            self._good_checks += 1
+            past = self._past(moment)
+            past.good_checks += 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
-            if self._good_checks <= LEARN_AT_FIRST or self._good_checks % LEARN_EVERY == 0:
+            if past.good_checks <= LEARN_AT_FIRST or past.good_checks % LEARN_EVERY == 0:
                 view.learn(steady, expected, seen)
         return check
 
@@ -200,19 +211,20 @@ class Inspector:
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return Check(moment, UNUSABLE, comparison, reason=HIDDEN)
-        self._last = (view, moment, sight, findings)
+        past = self._past(moment)
+        past.last = (view, moment, sight, findings)
         outcomes = []
         for evidence in findings.scopes:
-            track = self._tracks.get(evidence.object_id, Track())
-            outcome, self._tracks[evidence.object_id] = judge(track, evidence, self._settings.sensitivity)
+            track = past.tracks.get(evidence.object_id, Track())
+            outcome, past.tracks[evidence.object_id] = judge(track, evidence, self._settings.sensitivity)
             outcomes.append(outcome)
         outcomes = blame(outcomes)
         worst = max(outcomes, key=_weight)
-        self._failed_scopes |= {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
+        past.failed_scopes |= {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
         if worst.verdict == OK:
             memory.learn(findings.window, findings.wanted, frame_bgr, observed, ignored)
             for evidence in findings.scopes:
-                self._tracks[evidence.object_id] = learn(self._tracks[evidence.object_id], evidence)
+                past.tracks[evidence.object_id] = learn(past.tracks[evidence.object_id], evidence)
         diagnoses = {
             outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
             for outcome in outcomes
@@ -232,23 +244,23 @@ class Inspector:
             moment,
             worst.verdict,
             comparison,
-            limit=self._limit(comparison, worst.verdict),
+            limit=self._limit(past, comparison, worst.verdict),
             mode=named.mode if named and worst.verdict == FAILED else None,
             reason=self._sentence(worst, named),
             objects=tuple(objects),
         )
 
-    def _limit(self, comparison: Comparison, verdict: str) -> float:
+    def _limit(self, past: _Past, comparison: Comparison, verdict: str) -> float:
         """The E that is usual in this print, its spread, and as much lost or stray matter as is tolerated.
 
         For the plot: the decision weighs pixels and does not ask for E itself.
         """
-        past = self._good_errors or (comparison.error_ratio,)
-        usual = median(past)
-        spread = 1.4826 * median(abs(error - usual) for error in past) if len(past) >= 5 else 0.0
+        errors = past.good_errors or (comparison.error_ratio,)
+        usual = median(errors)
+        spread = 1.4826 * median(abs(error - usual) for error in errors) if len(errors) >= 5 else 0.0
         if verdict == OK:
-            self._good_errors = (*self._good_errors, comparison.error_ratio)[-GOOD_CHECKS:]
-        track = self._tracks.get(WHOLE, Track())
+            past.good_errors = (*past.good_errors, comparison.error_ratio)[-GOOD_CHECKS:]
+        track = past.tracks.get(WHOLE, Track())
         return usual + 3 * spread + matter_limit(track, comparison.total_px, self._settings.sensitivity)
 
     def _sentence(self, worst: Outcome, named: Diagnosis | None) -> str:
@@ -256,6 +268,9 @@ class Inspector:
             return ""
         who = f"{self._toolpath.objects[worst.object_id]}: " if worst.object_id >= 0 else ""
         return who + named.sentence
+
+    def _past(self, moment: Moment) -> _Past:
+        return self._pasts.setdefault(moment.camera, _Past())
 
     def _view(self, moment: Moment) -> View:
         if moment.camera not in self._views:

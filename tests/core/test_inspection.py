@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -66,3 +67,20 @@ def test_accepting_before_anything_was_checked_changes_nothing(clogged):
     inspector.accept()
     inspector.pardon()
     assert inspector.check(recording.frame(recording.moments[0]), recording.moments[0]).verdict == "ok"
+
+
+def test_two_cameras_each_have_a_past_of_their_own(tmp_path):
+    """Their frames come in turn; what is usual for the one would be a jump for the other."""
+    fault = Fault("detachment", 9)
+    near, far = (make_recording(tmp_path / name, layers=12, faults=(fault,), seed=6) for name in ("near", "far"))
+    recording = Recording.open(near)
+    camera = recording.header.camera()
+    aside = replace(camera, tvec_mm=camera.tvec_mm + [6.0, 4.0, 0.0])  # of which nobody told the inspector: a misfit
+    header = replace(recording.header, cameras=((None, camera), ("second", aside)))
+    inspector = Inspector(header, read_gcode(near / "job.gcode"), CvRenderer(), reference_bgr=recording.reference())
+    verdicts = []
+    for moment, other in zip(recording.moments, Recording.open(far).moments):
+        verdicts.append(inspector.check(recording.frame(moment), moment).verdict)
+        inspector.check(Recording.open(far).frame(other), replace(other, camera="second"))
+    assert verdicts[:9] == ["ok"] * 9
+    assert verdicts[9] == "failed"
