@@ -11,16 +11,6 @@ from octoprint_moop.core.expected.raster import CvRenderer
 from tests.made import LENSES, camera_at, toolpath_of, vase
 
 
-@pytest.fixture(scope="module", params=["OpenCV", "OpenGL"])
-def renderer(request):
-    if request.param == "OpenCV":
-        yield CvRenderer()
-        return
-    gl = pytest.importorskip("octoprint_moop.machine.gl")
-    with gl.GlRenderer() as made:
-        yield made
-
-
 @pytest.mark.parametrize("lens", LENSES)
 def test_a_small_bead_is_drawn_where_the_camera_model_projects_it(renderer, lens):
     size_px, finer = (640, 480), 8

@@ -23,16 +23,6 @@ from tests.made import LENSES, camera_at, toolpath_of, vase
 NOWHERE = np.zeros(3)
 
 
-@pytest.fixture(scope="module", params=["OpenCV", "OpenGL"])
-def renderer(request):
-    if request.param == "OpenCV":
-        yield CvRenderer()
-        return
-    gl = pytest.importorskip("octoprint_moop.machine.gl")
-    with gl.GlRenderer() as made:
-        yield made
-
-
 def solid_of(mesh) -> Solid:
     return Solid(np.asarray(mesh.triangles, dtype=np.float32))
 
