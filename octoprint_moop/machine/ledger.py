@@ -10,6 +10,8 @@ import time
 from collections import OrderedDict
 from typing import Any, Callable
 
+from . import blindness
+
 IDLE = "No print is running."
 KEPT_PICTURES = 60
 
@@ -26,8 +28,8 @@ class Ledger:
         self._pictures: OrderedDict[int, dict[str, bytes]] = OrderedDict()
         self._checked_s = 0.0
         self._status: dict[str, Any] = {
-            "watching": False, "blind": IDLE, "job": None, "layer": None, "layers": None, "checks": 0,
-            "last_check": None, "action": "none", "reason": "", "renderer": "", "version": version, "held_s": 0.0,
+            "watching": False, "blind": IDLE, "blind_code": blindness.IDLE, "job": None, "layer": None, "layers": None,
+            "checks": 0, "last_check": None, "action": "none", "reason": "", "renderer": "", "version": version, "held_s": 0.0,
         }  # fmt: skip
 
     # --- read by anybody ------------------------------------------------------------------------------------------
@@ -56,15 +58,24 @@ class Ledger:
 
     # --- written by the watch -------------------------------------------------------------------------------------
 
-    def begin(self, job: str, blind: str) -> None:
+    def begin(self, job: str) -> None:
         self._checks, self._pictures, self._checked_s = (), OrderedDict(), time.monotonic()
         self.note(
-            blind=blind, job=job, layer=None, layers=None, checks=0, last_check=None, action="none", reason="",
-            held_s=0.0,
+            blind="The G-code is being read.", blind_code=blindness.READING, job=job, layer=None, layers=None, checks=0,
+            last_check=None, action="none", reason="", held_s=0.0,
         )  # fmt: skip
 
+    def idle(self) -> None:
+        self.blind(blindness.IDLE, IDLE)
+
+    def blind(self, code: str, why: str, **changes: Any) -> None:
+        """Nobody is watching. code : one of `blindness`, or an error's own; why : a sentence"""
+        self.note(blind=why, blind_code=code, **changes)
+
     def note(self, **changes: Any) -> None:
-        """Change some of the status, and tell."""
+        """Change some of the status, and tell. `blind` None, and nobody is blind any more."""
+        if changes.get("blind", "") is None:
+            changes["blind_code"] = None
         before = self._status
         after = {**before, **changes}
         after["watching"] = after["blind"] is None
@@ -73,7 +84,9 @@ class Ledger:
         self._status = after
         self._tell("status", self.status)
         if after["blind"] not in (None, IDLE, before["blind"]):
-            self._tell("blind", {"job": after["job"], "layer": after["layer"], "reason": after["blind"]})
+            self._tell("blind", {
+                "job": after["job"], "layer": after["layer"], "code": after["blind_code"], "reason": after["blind"],
+            })  # fmt: skip
 
     def add(self, check: dict[str, Any], pictures: dict[str, bytes], held_s: float) -> None:
         """A check that was made; what it says about being blind goes into the status."""
@@ -83,11 +96,14 @@ class Ledger:
         self._pictures[check["id"]] = pictures
         while len(self._pictures) > KEPT_PICTURES:
             self._pictures.popitem(last=False)
-        blind = check["reason"] if check["verdict"] in ("unusable", "camera_moved") else None
+        code, blind = None, None
+        if check["verdict"] in (blindness.UNUSABLE, blindness.CAMERA_MOVED):
+            code, blind = check["verdict"], check["reason"]
         if check["total_px"] == 0:
+            code = blindness.OUT_OF_VIEW
             blind = "Nothing of the print is in view: it is out of the picture, or the head hides it. Park the head."
         self.note(
-            blind=blind, checks=len(self._checks), last_check=check,
+            blind=blind, blind_code=code, checks=len(self._checks), last_check=check,
             held_s=round(self._status["held_s"] + held_s, 3),
         )  # fmt: skip
         self._tell("check", check)

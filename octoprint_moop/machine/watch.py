@@ -16,10 +16,11 @@ from typing import Any, Callable
 
 from ..core.errors import FrameError, MoopError
 from ..core.settings import Settings
+from . import blindness
 from .acting import Actor
 from .holds import Hold, Holds
 from .jobs import Job, Print
-from .ledger import IDLE, Ledger
+from .ledger import Ledger
 from .link import EyeGone, EyeLink, Interrupted
 from .parking import Modes, Park, modes_at
 from .recorder import Recorder
@@ -143,12 +144,15 @@ class Watch:
         self._print = current = Print(job)
         self.holds.plan_none()
         self.actor.begin()
-        self._ledger.begin(job.name, blind="The G-code is being read.")
-        if job.why_not or job.header is None or job.path is None:
-            self._ledger.note(blind=job.why_not or "The camera is not calibrated. Run the set-up.")
+        self._ledger.begin(job.name)
+        if job.why_not or job.path is None:
+            self._ledger.blind(blindness.NOT_LOCAL, job.why_not or "This print's file is not OctoPrint's own.")
+            return
+        if job.header is None:
+            self._ledger.blind(blindness.NOT_SET_UP, "The camera is not calibrated. Run the set-up.")
             return
         if not self._settings.watch_prints:
-            self._ledger.note(blind="Watching is switched off in the settings.")
+            self._ledger.blind(blindness.OFF, "Watching is switched off in the settings.")
             return
         if self._settings.record:
             budget_bytes = self._settings.recordings_mb * 1_000_000
@@ -175,7 +179,7 @@ class Watch:
             self._revive_later(current, str(error))
             return
         except MoopError as error:
-            self._ledger.note(blind=str(error))
+            self._ledger.blind(error.code, str(error))
             return
         current.born = self._eye.births
         current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
@@ -185,10 +189,11 @@ class Watch:
         if not again:
             self.actor.begin(result["objects"], result["cancel_commands"])
         self._plan(current)
-        self._ledger.note(
-            blind=None if current.ends else "The file extrudes nothing that could be watched.",
-            renderer=result["renderer"], layers=len(current.ends),
-        )  # fmt: skip
+        self._ledger.note(renderer=result["renderer"], layers=len(current.ends))
+        if current.ends:
+            self._ledger.note(blind=None)
+        else:
+            self._ledger.blind(blindness.NO_LAYERS, "The file extrudes nothing that could be watched.")
 
     def _revive_later(self, current: Print, why: str) -> None:
         """The eye has gone. Start it again, a little later each time, until it is plain that it will not stay."""
@@ -196,9 +201,9 @@ class Watch:
         current.revivals += 1
         if current.revivals > REVIVALS:
             why = f"{why} It was started again {REVIVALS} times; this print is not watched any more."
-            self._ledger.note(blind=why)
+            self._ledger.blind(EyeGone.code, why)
             return
-        self._ledger.note(blind=f"{why} It is being started again.")
+        self._ledger.blind(blindness.RESTARTING, f"{why} It is being started again.")
 
         def revive() -> None:
             if self._print is current and not current.job.over.is_set():
@@ -223,10 +228,12 @@ class Watch:
             gone = str(error)
         except MoopError as error:
             log.warning("Layer %d was not checked: %s", hold.layer, error)
-            self._ledger.note(blind=str(error))
+            self._ledger.blind(error.code, str(error))
         except Exception as error:
             log.exception("Layer %d was not checked", hold.layer)
-            self._ledger.note(blind=f"Checking failed ({type(error).__name__}). The log has the details.")
+            self._ledger.blind(
+                blindness.BUG, f"Checking failed ({type(error).__name__}). The log has the details."
+            )
         finally:
             if current is not None and not gone:
                 self._plan(current)
@@ -258,7 +265,7 @@ class Watch:
         """Wait for the printer's report, and a little longer. Raises MoopError without one, Interrupted."""
         timeout_s = self._settings.settle_timeout_s
         if not hold.over.wait(timeout_s):
-            raise MoopError(
+            raise blindness.NoReport(
                 f"The printer did not report its position within {timeout_s:.0f} s. "
                 "If that happens again, its firmware may not know M114."
             )
@@ -349,9 +356,14 @@ class Watch:
         if not self._ledger.status["watching"]:
             return
         if self.holds.refused:
-            self._ledger.note(blind=f"The print cannot be held for a look ({self.holds.refused}).")
+            self._ledger.blind(
+                blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused})."
+            )
         elif self.holds.missed >= 3:
-            self._ledger.note(blind="The lines that are sent do not match the file. Was it changed after it was read?")
+            self._ledger.blind(
+                blindness.FILE_CHANGED,
+                "The lines that are sent do not match the file. Was it changed after it was read?",
+            )
         elif settings.longest_s and settings.capture != "slicer" and self._ledger.age_s > settings.longest_s:
             self.holds.ask()
 
@@ -361,7 +373,7 @@ class Watch:
         self.actor.forget_cooling()
         if current is not None and current.recorder is not None:
             current.recorder.end(how)
-        self._ledger.note(blind=IDLE)
+        self._ledger.idle()
 
     def _go_on(self) -> None:
         """The user resumed the print. Where we had paused it, it is accepted as it stands: only what is new counts."""
@@ -407,15 +419,18 @@ class Watch:
 
     def _switch(self, watching: bool) -> None:
         current = self._print
-        if current is None or not current.ends:
+        if current is None or current.job.header is None or current.job.path is None:
             return
         current.switched_off = not watching
-        if watching:
+        if not watching:
+            self.holds.plan_none()
+            self._ledger.blind(blindness.OFF_FOR_PRINT, "Watching was switched off for this print.")
+        elif current.ends and self._eye.pid is not None and self._eye.births == current.born:
             self._plan(current)
             self._ledger.note(blind=None)
-        else:
-            self.holds.plan_none()
-            self._ledger.note(blind="Watching was switched off for this print.")
+        else:  # what made it blind may be mended by now
+            current.revivals = 0
+            self._open(current, again=bool(current.ends))
 
     def _header(self, current: Print) -> dict[str, Any]:
         settings = self._settings

@@ -1,4 +1,5 @@
-from octoprint_moop.machine.ledger import IDLE, KEPT_PICTURES, Ledger
+from octoprint_moop.machine import blindness
+from octoprint_moop.machine.ledger import KEPT_PICTURES, Ledger
 
 
 def check(verdict="ok", **changes):
@@ -9,7 +10,7 @@ def check(verdict="ok", **changes):
 def test_a_week_of_checks_is_told_one_by_one_and_pictures_are_kept_of_the_last():
     told = []
     ledger = Ledger(lambda kind, payload: told.append(kind), "1.0")
-    ledger.begin("cube", blind="reading")
+    ledger.begin("cube")
     ledger.note(blind=None)
     for _ in range(10_000):
         ledger.add(check(), {"frame.jpg": b"x"}, 0.5)
@@ -22,16 +23,29 @@ def test_a_week_of_checks_is_told_one_by_one_and_pictures_are_kept_of_the_last()
 def test_nothing_is_told_twice():
     told = []
     ledger = Ledger(lambda kind, payload: told.append((kind, payload.get("reason"))), "1.0")
-    ledger.begin("cube", blind="The webcam is away.")
-    ledger.note(blind="The webcam is away.")
+    ledger.begin("cube")
+    told.clear()
+    ledger.blind("frame", "The webcam is away.")
+    ledger.blind("frame", "The webcam is away.")
     ledger.note(blind=None)
-    ledger.note(blind=IDLE)
+    ledger.idle()
     assert [kind for kind, _ in told] == ["status", "blind", "status", "status"]
+
+
+def test_blindness_has_a_code_for_as_long_as_it_lasts():
+    ledger = Ledger(lambda kind, payload: None, "1.0")
+    assert ledger.status["blind_code"] == blindness.IDLE
+    ledger.begin("cube")
+    assert ledger.status["blind_code"] == blindness.READING
+    ledger.note(blind=None)
+    assert ledger.status["blind_code"] is None
+    ledger.add(check("camera_moved", reason="It was knocked."), {}, 0.1)
+    assert ledger.status["blind_code"] == blindness.CAMERA_MOVED
 
 
 def test_a_frame_that_shows_nothing_of_the_print_is_blindness_not_wellbeing():
     ledger = Ledger(lambda kind, payload: None, "1.0")
-    ledger.begin("cube", blind="reading")
+    ledger.begin("cube")
     ledger.add(check(total_px=0), {}, 0.1)
     assert "Nothing of the print is in view" in ledger.status["blind"] and not ledger.status["watching"]
     ledger.add(check("unusable", reason="Too dark.", total_px=None), {}, 0.1)
@@ -43,5 +57,5 @@ def test_a_frame_that_shows_nothing_of_the_print_is_blindness_not_wellbeing():
 def test_a_published_status_does_not_change_any_more():
     ledger = Ledger(lambda kind, payload: None, "1.0")
     before = ledger.status
-    ledger.begin("cube", blind="reading")
+    ledger.begin("cube")
     assert before["job"] is None and ledger.status["job"] == "cube"
