@@ -25,6 +25,7 @@ class Moment:
     time_s      : since the print's start
     parked      : False where the head stood over the print
     camera      : name of the camera, None for the first
+    again       : a second look at what the frame before it shows, in the same hold: see `Inspector.confirm`
     cancelled   : objects cancelled while printing, each with the file position from which on it is not printed
     """
 
@@ -36,6 +37,7 @@ class Moment:
     parked: bool = True
     camera: str | None = None
     cancelled: tuple[tuple[str, int], ...] = ()
+    again: bool = False
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Moment:
@@ -51,6 +53,7 @@ class Moment:
                 parked=bool(data.get("parked", True)),
                 camera=None if data.get("camera") is None else str(data["camera"]),
                 cancelled=tuple(sorted((str(name), int(pos)) for name, pos in (data.get("cancelled") or {}).items())),
+                again=bool(data.get("again", False)),
             )
         except KeyError as missing:
             raise RecordingError(f"A line has no {missing.args[0]!r}.") from None
@@ -67,6 +70,8 @@ class Moment:
             data["camera"] = self.camera
         if self.cancelled:
             data["cancelled"] = dict(self.cancelled)
+        if self.again:
+            data["again"] = True
         return data
 
 

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
-from statistics import median
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Callable
 
 import cv2
 import numpy as np
 
 from .decision.compare import Comparison, compare
-from .decision.decide import (
-    CAMERA_MOVED,
-    FAILED,
-    GOOD_CHECKS,
-    OK,
-    SUSPECT,
-    UNUSABLE,
-    Outcome,
-    Track,
-    accept,
-    blame,
-    judge,
-    learn,
-    matter_limit,
-    pardon,
-)
-from .decision.diagnose import Diagnosis, diagnose
-from .decision.evidence import WHOLE, Findings, Sight, find
+from .decision.course import Course, Look, Ruling
+from .decision.decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Track, accept, pardon
+from .decision.diagnose import diagnose
+from .decision.evidence import Findings, Sight, find
 from .errors import FrameError, SegmentationError
 from .expected.hardware import HeadModel
 from .expected.views import Expected, MaskRenderer
@@ -43,7 +29,6 @@ LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
-SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 
 
 @dataclass(frozen=True)
@@ -58,6 +43,32 @@ class Check:
     reason: str = ""
     objects: tuple[dict[str, Any], ...] = ()
     ms: float = 0.0
+
+    @classmethod
+    def of(cls, moment: Moment, look: Look, ruling: Ruling | None, objects: Sequence[str]) -> Check:
+        """What follows from a look and the ruling on it, None where nothing could be judged. objects: their names."""
+        if ruling is None:
+            return cls(moment, look.blind, look.comparison, reason=look.reason)
+        worst = ruling.worst
+        named = look.names.get(worst.object_id) if worst.verdict != OK else None
+        who = f"{objects[worst.object_id]}: " if worst.object_id >= 0 else ""
+        return cls(
+            moment,
+            worst.verdict,
+            look.comparison,
+            limit=ruling.limit,
+            mode=named.mode if named and worst.verdict == FAILED else None,
+            reason=who + named.sentence if named else "",
+            objects=tuple(
+                {
+                    "name": objects[outcome.object_id],
+                    "E": round(evidence.error_ratio, 6),
+                    "verdict": outcome.verdict,
+                    "mode": look.names[outcome.object_id].mode if outcome.verdict == FAILED else None,
+                }
+                for evidence, outcome in zip(look.scopes[1:], ruling.outcomes[1:])
+            ),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """The check line of FORMATS.md, section 4. Counts are null where nothing could be compared."""
@@ -89,15 +100,14 @@ class Pictures:
     ignored: np.ndarray
 
 
-@dataclass
-class _Past:
-    """What one camera has seen of this print so far; two cameras see two different usual errors."""
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A frame that can be judged, and what was found in it."""
 
-    tracks: dict[int, Track] = field(default_factory=dict)
-    good_checks: int = 0
-    good_errors: tuple[float, ...] = ()
-    failed_scopes: set[int] = field(default_factory=set)
-    last: tuple[View, Moment, Sight, Findings] | None = None  # the last check that was judged
+    view: View
+    moment: Moment
+    sight: Sight
+    findings: Findings
 
 
 class Inspector:
@@ -117,8 +127,12 @@ class Inspector:
         self._settings = settings
         self._reference_bgr = reference_bgr
         self._views: dict[str | None, View] = {}
-        self._pasts: dict[str | None, _Past] = {}
+        self._courses: dict[str | None, Course] = {}
+        self._seen: dict[str | None, _Seen] = {}
+        self._good_checks: dict[str | None, int] = {}
         self.pictures: Pictures | None = None
+        self.look: Look | None = None
+        """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
 
     def accept(self) -> None:
         """The user goes on with the print as it is: what the last check saw is the new baseline, only what changes
@@ -130,16 +144,11 @@ class Inspector:
         self._begin_anew(pardon)
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
-        for past in self._pasts.values():
-            if past.last is None:
-                continue
-            view, moment, sight, findings = past.last
-            view.memory(moment).accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
-            failed = past.failed_scopes or set(past.tracks)
-            past.tracks = {
-                scope: of(track) if scope in failed else accept(track) for scope, track in past.tracks.items()
-            }
-            past.failed_scopes = set()
+        for camera, seen in self._seen.items():
+            sight, findings = seen.sight, seen.findings
+            memory = seen.view.memory(seen.moment)
+            memory.accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
+            self._courses[camera].begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
@@ -154,14 +163,26 @@ class Inspector:
         check = self._check(frame_bgr, moment)
         return replace(check, ms=(time.perf_counter() - began_s) * 1000)
 
+    def confirm(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
+        """A second look at what the last check judged: another frame of the same print in the same hold.
+
+        It takes the last check's place and counts no second time. What only passed by is taken back; what both
+        frames show is a failure sooner than what one has shown. Where this frame cannot be used the last check stands,
+        but for a failure, which is suspect until the next layer tells. Raises RenderError as `check`.
+        """
+        return self.check(frame_bgr, replace(moment, again=True))
+
     def _check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
+        course = self._courses.setdefault(moment.camera, Course(self._settings.sensitivity))
+        before = self._seen.get(moment.camera)
+        again = moment.again and before is not None and before.moment.file_pos == moment.file_pos
         view = self._view(moment)
         try:
             steady = view.steady(frame_bgr, moment)
         except FrameError as error:
-            return Check(moment, UNUSABLE, reason=str(error))
+            return self._blind(Look(blind=UNUSABLE, reason=str(error)), course, moment, again)
         if steady.moved:
-            return Check(moment, CAMERA_MOVED, reason=steady.moved)
+            return self._blind(Look(blind=CAMERA_MOVED, reason=steady.moved), course, moment, again)
         expected = view.expected(moment)
         seen = view.observe(steady, expected)
         observed = seen.mask
@@ -173,16 +194,39 @@ class Inspector:
         self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
         blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
         if blocked:
-            return Check(moment, UNUSABLE, comparison, reason=blocked)
+            return self._blind(Look(comparison, UNUSABLE, blocked), course, moment, again)
         view.accept(steady)
-        check = self._judge(view, moment, steady.frame, expected, observed, ignored, comparison)
-        if check.verdict == OK:
-            past = self._past(moment)
-            past.good_checks += 1
+        memory = view.memory(moment)
+        layer = self._toolpath.layer_at(moment.file_pos)
+        tolerance_px = TOLERANCE_PX * max(1.0, observed.shape[1] / 640)
+        sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
+        findings = find(sight, memory)
+        if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
+            return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
+        self._seen[moment.camera] = _Seen(view, moment, sight, findings)
+        look = Look(comparison, scopes=findings.scopes)
+        ruling = course.rule(look, again)
+        if ruling.teaches:
+            memory.learn(findings.window, findings.wanted, sight.frame_bgr, observed, ignored)
+            good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
-            if past.good_checks <= LEARN_AT_FIRST or past.good_checks % LEARN_EVERY == 0:
+            if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
                 view.learn(steady, expected, seen)
-        return check
+        names = {
+            outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
+            for outcome in ruling.outcomes
+            if outcome.verdict != OK
+        }
+        self.look = replace(look, names=names)
+        return Check.of(moment, self.look, ruling, self._toolpath.objects)
+
+    def _blind(self, look: Look, course: Course, moment: Moment, again: bool) -> Check:
+        """Nothing can be judged; where this was to confirm what the last check saw, that stands unconfirmed."""
+        last, self.look = self.look, look
+        ruling = course.unconfirmed() if again else None
+        if ruling is None or last is None:
+            return Check.of(moment, look, None, self._toolpath.objects)
+        return Check.of(moment, last, ruling, self._toolpath.objects)
 
     @staticmethod
     def _blocked(expected: Expected, hidden: np.ndarray, doubtful: np.ndarray, unsure: np.ndarray) -> str:
@@ -198,79 +242,6 @@ class Inspector:
         if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
             return "Filament and bed look alike here: more light, or a bed of another colour, would help."
         return ""
-
-    def _judge(
-        self, view: View, moment: Moment, frame_bgr: np.ndarray, expected: Expected, observed: np.ndarray,
-        ignored: np.ndarray, comparison: Comparison,
-    ) -> Check:  # fmt: skip
-        """Weigh what differs, for the whole print and for each object, and learn from it where all is well."""
-        memory = view.memory(moment)
-        layer = self._toolpath.layer_at(moment.file_pos)
-        tolerance_px = TOLERANCE_PX * max(1.0, observed.shape[1] / 640)
-        sight = Sight(frame_bgr, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
-        findings = find(sight, memory)
-        if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
-            return Check(moment, UNUSABLE, comparison, reason=HIDDEN)
-        past = self._past(moment)
-        past.last = (view, moment, sight, findings)
-        outcomes = []
-        for evidence in findings.scopes:
-            track = past.tracks.get(evidence.object_id, Track())
-            outcome, past.tracks[evidence.object_id] = judge(track, evidence, self._settings.sensitivity)
-            outcomes.append(outcome)
-        outcomes = blame(outcomes)
-        worst = max(outcomes, key=_weight)
-        past.failed_scopes |= {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
-        if worst.verdict == OK:
-            memory.learn(findings.window, findings.wanted, frame_bgr, observed, ignored)
-            for evidence in findings.scopes:
-                past.tracks[evidence.object_id] = learn(past.tracks[evidence.object_id], evidence)
-        diagnoses = {
-            outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
-            for outcome in outcomes
-            if outcome.verdict != OK
-        }
-        objects = [
-            {
-                "name": self._toolpath.objects[outcome.object_id],
-                "E": round(evidence.error_ratio, 6),
-                "verdict": outcome.verdict,
-                "mode": diagnoses[outcome.object_id].mode if outcome.verdict == FAILED else None,
-            }
-            for evidence, outcome in zip(findings.scopes[1:], outcomes[1:])
-        ]
-        named = diagnoses.get(worst.object_id)
-        return Check(
-            moment,
-            worst.verdict,
-            comparison,
-            limit=self._limit(past, comparison, worst.verdict),
-            mode=named.mode if named and worst.verdict == FAILED else None,
-            reason=self._sentence(worst, named),
-            objects=tuple(objects),
-        )
-
-    def _limit(self, past: _Past, comparison: Comparison, verdict: str) -> float:
-        """The E that is usual in this print, its spread, and as much lost or stray matter as is tolerated.
-
-        For the plot: the decision weighs pixels and does not ask for E itself.
-        """
-        errors = past.good_errors or (comparison.error_ratio,)
-        usual = median(errors)
-        spread = 1.4826 * median(abs(error - usual) for error in errors) if len(errors) >= 5 else 0.0
-        if verdict == OK:
-            past.good_errors = (*past.good_errors, comparison.error_ratio)[-GOOD_CHECKS:]
-        track = past.tracks.get(WHOLE, Track())
-        return usual + 3 * spread + matter_limit(track, comparison.total_px, self._settings.sensitivity)
-
-    def _sentence(self, worst: Outcome, named: Diagnosis | None) -> str:
-        if named is None:
-            return ""
-        who = f"{self._toolpath.objects[worst.object_id]}: " if worst.object_id >= 0 else ""
-        return who + named.sentence
-
-    def _past(self, moment: Moment) -> _Past:
-        return self._pasts.setdefault(moment.camera, _Past())
 
     def _view(self, moment: Moment) -> View:
         if moment.camera not in self._views:
@@ -314,8 +285,3 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         return {"type": "summary", **self.__dict__, "failed_objects": list(self.failed_objects)}
-
-
-def _weight(outcome: Outcome) -> tuple[int, bool, float]:
-    """Which outcome speaks for the check: the worst, an object's before the whole's, the most surprising first."""
-    return SEVERITY[outcome.verdict], outcome.object_id >= 0, outcome.leading.size

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
+from octoprint_moop.core.header import Moment
 from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.machine.recording import Recording
@@ -84,3 +87,68 @@ def test_two_cameras_each_have_a_past_of_their_own(tmp_path):
         inspector.check(Recording.open(far).frame(other), replace(other, camera="second"))
     assert verdicts[:9] == ["ok"] * 9
     assert verdicts[9] == "failed"
+
+
+@pytest.fixture(scope="module")
+def detached(tmp_path_factory) -> Path:
+    return make_recording(
+        tmp_path_factory.mktemp("detached") / "print", layers=14, faults=(Fault("detachment", 10),), seed=2
+    )
+
+
+def inspected(folder: Path, upto: int) -> tuple[Inspector, Recording]:
+    recording = Recording.open(folder)
+    inspector = Inspector(
+        recording.header, read_gcode(folder / "job.gcode"), CvRenderer(), reference_bgr=recording.reference()
+    )
+    for moment in recording.moments[:upto]:
+        inspector.check(recording.frame(moment), moment)
+    return inspector, recording
+
+
+def noisy(frame, seed):
+    """The same state, another exposure."""
+    noise = np.random.default_rng(seed).normal(0, 2.0, frame.shape)
+    return np.clip(frame + noise, 0, 255).astype(np.uint8)
+
+
+def test_a_failure_that_a_second_frame_shows_too_is_confirmed(detached):
+    inspector, recording = inspected(detached, 10)
+    moment = recording.moments[10]
+    first = inspector.check(recording.frame(moment), moment)
+    second = inspector.confirm(noisy(recording.frame(moment), 1), moment)
+    assert (first.verdict, second.verdict, second.mode) == ("failed", "failed", "detachment")
+
+
+def test_a_failure_that_a_second_frame_does_not_show_is_taken_back_and_the_print_goes_on_as_if_it_had_not_been(clogged):
+    """For one frame the print looks as it did eight layers ago: as if all since had not come."""
+    inspector, recording = inspected(clogged, 7)
+    moment, old = recording.moments[6], recording.moments[0]
+    state = replace(moment, frame="again.jpg")
+    first = inspector.check(noisy(recording.frame(old), 1), state)
+    assert first.verdict in ("failed", "suspect")
+    assert inspector.confirm(noisy(recording.frame(moment), 2), state).verdict == "ok"
+    assert inspector.check(noisy(recording.frame(moment), 3), moment).verdict == "ok"
+
+
+def test_a_failure_whose_second_frame_is_black_is_suspect_and_the_next_layer_tells(detached):
+    inspector, recording = inspected(detached, 10)
+    moment, following = recording.moments[10:12]
+    assert inspector.check(recording.frame(moment), moment).verdict == "failed"
+    second = inspector.confirm(np.zeros_like(recording.frame(moment)), moment)
+    assert (second.verdict, second.mode) == ("suspect", None)
+    assert inspector.check(recording.frame(following), following).verdict == "failed"
+
+
+def test_a_line_that_says_again_is_a_second_look_in_a_replay_too(detached):
+    """A recording keeps both frames of a hold; what follows from them must be what followed live."""
+    live, recording = inspected(detached, 10)
+    offline, _ = inspected(detached, 10)
+    moment = recording.moments[10]
+    frames = recording.frame(moment), noisy(recording.frame(moment), 4)
+    live.check(frames[0], moment)
+    offline.check(frames[0], moment)
+    line = json.loads(json.dumps({**moment.to_json(), "again": True}))
+    assert replace(offline.check(frames[1], Moment.from_json(line)), ms=0) == replace(
+        live.confirm(frames[1], moment), ms=0
+    )

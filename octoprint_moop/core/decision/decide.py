@@ -21,6 +21,7 @@ GOOD_CHECKS = 25  # how many good checks make the baseline
 CUSUM_FAILED = 2.0  # sum of surprises above SLACK at which a print has failed
 SLACK = 0.6
 DECISIVE = 3.0  # one check this far above its limits needs no second
+CONFIRMED = 2.0  # the same, where a second frame of the same state has shown it too
 MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
 MATTER_LIMIT_PX = 30
 FRESH_LEAST_PX = 40
@@ -44,6 +45,7 @@ class Surprise:
 class Track:
     """What the good checks of one scope have shown, and the sum of surprises since.
 
+    cusum : the sum at the sensitivity that the user chose; teaching_cusum : at that which decides what is learned
     wide  : scales all its limits
     quiet : for so many checks in which new matter comes, its absence is not asked after: the user went on without it
     """
@@ -55,6 +57,7 @@ class Track:
     barren: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
     cusum: float = 0.0
+    teaching_cusum: float = 0.0
     wide: float = 1.0
     quiet: int = 0
 
@@ -133,14 +136,19 @@ def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
     return found
 
 
-def judge(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Outcome, Track]:
-    """The verdict on one scope, and its track with this check's sum; `learn` is for checks that were good."""
+def judge(
+    track: Track, evidence: Evidence, sensitivity: str, decisive: float = DECISIVE
+) -> tuple[Outcome, Track]:
+    """The verdict on one scope, and its track with this check's sum; `learn` is for checks that were good.
+
+    decisive : the surprise that needs no second check
+    """
     found = surprises(track, evidence, sensitivity)
     size = found[0].size
     cusum = max(0.0, track.cusum + min(size, DECISIVE + SLACK) - SLACK)
     # a first check has nothing to be compared with: a camera that is set up wrongly looks just like a failure then
     first = not track.lost and track.cusum == 0
-    enough = size >= DECISIVE or (size >= 1 and cusum >= CUSUM_FAILED) or (size >= SLACK and cusum >= CUSUM_ALONE)
+    enough = size >= decisive or (size >= 1 and cusum >= CUSUM_FAILED) or (size >= SLACK and cusum >= CUSUM_ALONE)
     if enough and not first:
         verdict = FAILED
     elif size >= 1 or cusum >= 1:

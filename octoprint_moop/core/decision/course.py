@@ -1,0 +1,193 @@
+"""The course of one print before one camera: what each frame showed, what was concluded, what was learned from it.
+
+What a frame shows (`Look`), and whether it teaches what is usual, does not depend on the sensitivity that the user
+chose: a frame teaches where the rule at medium sensitivity finds nothing in it. So looks can be kept, and concluded from
+again with another sensitivity, without a picture being looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from statistics import median
+from typing import Any, Callable
+
+from .compare import Comparison
+from .decide import (
+    CONFIRMED,
+    DECISIVE,
+    FAILED,
+    GOOD_CHECKS,
+    OK,
+    SUSPECT,
+    Outcome,
+    Track,
+    accept,
+    blame,
+    judge,
+    learn,
+    matter_limit,
+)
+from .diagnose import Diagnosis
+from .evidence import WHOLE, Evidence
+
+TEACHES = "medium"  # a frame in which the rule finds nothing at this sensitivity teaches what is usual
+SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one frame showed, before anyone asks how much of it is too much.
+
+    blind  : `unusable` or `camera_moved` where it could not be judged, with the reason; "" where it could
+    scopes : the evidence of the whole (first) and of each object; empty where blind
+    names  : what the failure would be called, by object, for each scope that may be asked
+    """
+
+    comparison: Comparison | None = None
+    blind: str = ""
+    reason: str = ""
+    scopes: tuple[Evidence, ...] = ()
+    names: Mapping[int, Diagnosis] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "comparison": None if self.comparison is None else asdict(self.comparison),
+            "blind": self.blind,
+            "reason": self.reason,
+            "scopes": [asdict(scope) for scope in self.scopes],
+            "names": [[number, name.mode, name.sentence] for number, name in self.names.items()],
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Look:
+        """Raises KeyError, TypeError or ValueError where this is none."""
+        return cls(
+            None if data["comparison"] is None else Comparison(**data["comparison"]),
+            str(data["blind"]),
+            str(data["reason"]),
+            tuple(
+                Evidence(**{**scope, "fresh": tuple((new, seen) for new, seen in scope["fresh"])})
+                for scope in data["scopes"]
+            ),
+            {int(number): Diagnosis(mode, sentence) for number, mode, sentence in data["names"]},
+        )
+
+
+@dataclass(frozen=True)
+class Ruling:
+    """The verdicts that follow from a look, the whole's first.
+
+    worst   : the outcome that speaks for the check
+    limit   : the E that is usual, its spread, and as much matter out of place as is tolerated: for the plot, since the
+    decision weighs pixels and does not ask for E itself
+    teaches : all is well, and this was not known of this layer yet
+    """
+
+    outcomes: tuple[Outcome, ...]
+    worst: Outcome
+    limit: float
+    teaches: bool
+
+
+@dataclass(frozen=True)
+class _State:
+    tracks: Mapping[int, Track] = field(default_factory=dict)
+    errors: tuple[float, ...] = ()
+    failed: frozenset[int] = frozenset()
+
+
+class Course:
+    """Looks go in, in time order; rulings come out."""
+
+    def __init__(self, sensitivity: str) -> None:
+        self._sensitivity = sensitivity
+        self._state = self._before = _State()
+        self._last: tuple[Look, Ruling] | None = None
+
+    def rule(self, look: Look, again: bool = False) -> Ruling:
+        """What follows from a look in which something could be judged.
+
+        again : a second look at the state that the last one judged. It takes the last one's place: only what both saw
+        counts, so that what merely passed by is taken back, and a smaller surprise is enough since it was seen twice.
+        """
+        known = again and self._last is not None
+        if known:
+            assert self._last is not None
+            self._state = self._before
+            look = replace(look, scopes=_in_both(self._last[0].scopes, look.scopes))
+        self._before = self._state
+        tracks, outcomes, alarmed = dict(self._state.tracks), [], False
+        for evidence in look.scopes:
+            track = tracks.get(evidence.object_id, Track())
+            outcome, tracks[evidence.object_id], quiet = self._judge(track, evidence, CONFIRMED if known else DECISIVE)
+            outcomes.append(outcome)
+            alarmed |= not quiet
+        outcomes = blame(outcomes)
+        worst = max(outcomes, key=_weight)
+        failed = self._state.failed | {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
+        errors = self._state.errors
+        limit = self._limit(tracks[WHOLE], look.comparison)
+        if not alarmed:
+            tracks = {scope.object_id: learn(tracks[scope.object_id], scope) for scope in look.scopes}
+            if look.comparison is not None:
+                errors = (*errors, look.comparison.error_ratio)[-GOOD_CHECKS:]
+        taught = known and self._last is not None and self._last[1].teaches
+        ruling = Ruling(tuple(outcomes), worst, limit, teaches=not alarmed and not taught)
+        self._state = _State(tracks, errors, failed)
+        self._last = look, ruling
+        return ruling
+
+    def _judge(self, track: Track, evidence: Evidence, decisive: float) -> tuple[Outcome, Track, bool]:
+        """The outcome, the track with its sums, and whether the look teaches as far as this scope goes."""
+        outcome, after = judge(track, evidence, self._sensitivity, decisive)
+        if self._sensitivity == TEACHES:
+            return outcome, replace(after, teaching_cusum=after.cusum), outcome.verdict == OK
+        teaching, plain = judge(replace(track, cusum=track.teaching_cusum), evidence, TEACHES, decisive)
+        return outcome, replace(after, teaching_cusum=plain.cusum), teaching.verdict == OK
+
+    def unconfirmed(self) -> Ruling | None:
+        """The last ruling where a second look could not be used: it says neither yes nor no, so nothing has failed yet."""
+        if self._last is None:
+            return None
+        look, ruling = self._last
+        outcomes = tuple(replace(one, verdict=SUSPECT) if one.verdict == FAILED else one for one in ruling.outcomes)
+        ruling = replace(ruling, outcomes=outcomes, worst=max(outcomes, key=_weight), teaches=False)
+        self._state = replace(self._state, failed=self._before.failed)
+        self._last = look, ruling
+        return ruling
+
+    def begin_anew(self, of: Callable[[Track], Track]) -> None:
+        """The user goes on with the print as it is. of: `accept` or `pardon`, for the scopes that had failed."""
+        failed = self._state.failed or frozenset(self._state.tracks)
+        tracks = {scope: (of if scope in failed else accept)(track) for scope, track in self._state.tracks.items()}
+        self._state = self._before = _State(tracks, self._state.errors)
+        self._last = None
+
+    def _limit(self, track: Track, comparison: Comparison | None) -> float:
+        now = (comparison.error_ratio,) if comparison is not None else (0.0,)
+        errors = self._state.errors or now
+        usual = median(errors)
+        spread = 1.4826 * median(abs(error - usual) for error in errors) if len(errors) >= 5 else 0.0
+        total_px = 0 if comparison is None else comparison.total_px
+        return usual + 3 * spread + matter_limit(track, total_px, self._sensitivity)
+
+
+def _in_both(first: Sequence[Evidence], second: Sequence[Evidence]) -> tuple[Evidence, ...]:
+    """What two looks at one state agree on: the lesser figures of the two."""
+    by_id = {evidence.object_id: evidence for evidence in first}
+    return tuple(_lesser(by_id.get(evidence.object_id, evidence), evidence) for evidence in second)
+
+
+def _lesser(one: Evidence, other: Evidence) -> Evidence:
+    wrong = ("lost_px", "stray_px", "rim_px", "unseen_px", "barren_px")
+    fresh = tuple(
+        (new_px, max(seen_px, min(round(before_seen_px * new_px / max(before_px, 1)), new_px)))
+        for (before_px, before_seen_px), (new_px, seen_px) in zip(one.fresh, other.fresh)
+    )
+    return replace(other, fresh=fresh, **{name: min(getattr(one, name), getattr(other, name)) for name in wrong})
+
+
+def _weight(outcome: Outcome) -> tuple[int, bool, float]:
+    """Which outcome speaks for the check: the worst, an object's before the whole's, the most surprising first."""
+    return SEVERITY[outcome.verdict], outcome.object_id >= 0, outcome.leading.size

@@ -1,0 +1,133 @@
+"""One print's course: looks that are taken twice, kept, and concluded from with another sensitivity."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from octoprint_moop.core.decision.compare import Comparison
+from octoprint_moop.core.decision.course import Course, Look
+from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, accept
+from octoprint_moop.core.decision.diagnose import Diagnosis
+from octoprint_moop.core.decision.evidence import WHOLE, Evidence
+
+TOTAL_PX = 20_000
+LIMIT_PX = MATTER_LIMIT_RATIO * TOTAL_PX
+
+
+def look(limits: float = 0.0, share: float = 1.0, objects: int = 0) -> Look:
+    """So many limits of stray matter; of the fresh matter, that share is seen."""
+    fresh = tuple((200 * n, int(200 * n * share)) for n in (1, 2, 4, 8))
+    stray_px = int(limits * LIMIT_PX)
+    scopes = tuple(
+        Evidence(number, 9000, TOTAL_PX, 8000, 0, stray_px, 0, 0, 900, 0, stray_px, fresh)
+        for number in (WHOLE, *range(objects))
+    )
+    return Look(Comparison(9000, 9000 + stray_px, 0, stray_px, 0, TOTAL_PX), scopes=scopes)
+
+
+def course_after_good(checks: int = 10, sensitivity: str = "medium") -> Course:
+    course = Course(sensitivity)
+    for _ in range(checks):
+        course.rule(look())
+    return course
+
+
+def verdict(course: Course, seen: Look, again: bool = False) -> str:
+    return course.rule(seen, again).worst.verdict
+
+
+def test_what_only_one_of_two_frames_shows_is_taken_back():
+    course = course_after_good()
+    assert verdict(course, look(5.0)) == FAILED
+    assert verdict(course, look(), again=True) == OK
+    # as if it had never been: two limits and a half would follow a sum of some size to a failure
+    assert [verdict(course, look(1.5)) for _ in range(2)] == [SUSPECT, SUSPECT]
+
+
+def test_what_both_frames_show_is_a_failure_sooner_than_what_one_shows():
+    course = course_after_good()
+    assert verdict(course, look(2.5)) == SUSPECT
+    assert verdict(course, look(2.4), again=True) == FAILED
+    assert verdict(course_after_good(), look(2.4)) == SUSPECT
+
+
+def test_only_as_much_as_both_frames_show_counts():
+    course = course_after_good()
+    course.rule(look(9.0))
+    assert course.rule(look(1.2), again=True).worst.leading.size == pytest.approx(1.2, abs=0.02)
+
+
+def test_a_weak_suspicion_looked_at_twice_counts_once():
+    course = course_after_good()
+    for _ in range(3):
+        assert verdict(course, look(1.05)) == SUSPECT
+        course.rule(look(1.05), again=True)
+    twice, once = course.rule(look(1.05)), course_after_good()
+    for _ in range(4):
+        ruling = once.rule(look(1.05))
+    assert twice.worst.cusum == pytest.approx(ruling.worst.cusum)
+
+
+def test_a_second_look_at_a_good_state_teaches_nothing_new():
+    course = course_after_good()
+    assert course.rule(look()).teaches
+    assert not course.rule(look(), again=True).teaches
+
+
+def test_a_second_look_that_finds_all_well_teaches_what_the_first_could_not():
+    course = course_after_good()
+    assert not course.rule(look(5.0)).teaches
+    assert course.rule(look(), again=True).teaches
+
+
+def test_the_first_check_of_a_print_is_no_failure_however_often_it_is_looked_at():
+    course = Course("medium")
+    assert [verdict(course, look(9.0), again) for again in (False, True, True)] == [SUSPECT] * 3
+    assert verdict(course, look(9.0)) == FAILED
+
+
+def test_a_failure_whose_second_frame_cannot_be_used_is_suspect_until_the_next_layer():
+    course = course_after_good()
+    assert verdict(course, look(5.0)) == FAILED
+    ruling = course.unconfirmed()
+    assert ruling.worst.verdict == SUSPECT and {one.verdict for one in ruling.outcomes} == {SUSPECT}
+    assert verdict(course, look(5.0)) == FAILED
+    assert Course("medium").unconfirmed() is None
+
+
+@pytest.mark.parametrize("limits", [0.5, 0.9, 1.3, 2.5])
+def test_what_is_learned_does_not_depend_on_the_sensitivity(limits):
+    """The very reason why looks can be kept."""
+    seen = [look()] * 6 + [look(limits)] * 8 + [look()] * 3
+    teaching = []
+    for sensitivity in ("low", "medium", "high"):
+        course = Course(sensitivity)
+        teaching.append([course.rule(one).teaches for one in seen])
+    assert teaching[0] == teaching[1] == teaching[2]
+
+
+def test_a_more_sensitive_course_suspects_wherever_a_less_sensitive_one_does():
+    """So looks that were named where the most sensitive course suspects are named wherever any does."""
+    seen = [look(objects=2)] * 6 + [look(limits, objects=2) for limits in (0.4, 0.7, 0.9, 1.1, 0.2, 2.2, 0.0, 1.9, 3.5)]
+    courses = {name: Course(name) for name in ("low", "medium", "high")}
+    for one in seen:
+        outcomes = {name: course.rule(one).outcomes for name, course in courses.items()}
+        for low, medium, high in zip(outcomes["low"], outcomes["medium"], outcomes["high"]):
+            order = [OK, SUSPECT, FAILED]
+            assert order.index(low.verdict) <= order.index(medium.verdict) <= order.index(high.verdict)
+
+
+def test_what_the_user_accepted_is_judged_anew():
+    course = course_after_good()
+    assert verdict(course, look(5.0)) == FAILED
+    course.begin_anew(accept)
+    assert verdict(course, look(), again=True) == OK  # there is nothing left that could be confirmed
+
+
+def test_a_look_survives_json():
+    one = Look(look(2.0, objects=2).comparison, "", "", look(2.0, objects=2).scopes, {0: Diagnosis("warping", "Up.")})
+    assert Look.from_json(json.loads(json.dumps(one.to_json()))) == one
+    blind = Look(blind="unusable", reason="black")
+    assert Look.from_json(json.loads(json.dumps(blind.to_json()))) == blind
