@@ -14,15 +14,19 @@ from ..core.inspection import Check, Inspector, Summary
 from ..core.settings import Settings, read_value
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
+from .report import Report
 
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="JSON lines on standard output: a check each, then a summary.")
 @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="A setting other than its default.")
-def replay(recording: Path, as_json: bool, changes: tuple[str, ...]) -> None:
+@click.option("--report", "page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
+              help="Also write a page with plot and pictures, to be read anywhere.")  # fmt: skip
+def replay(recording: Path, as_json: bool, changes: tuple[str, ...], page: Path | None) -> None:
     """Run the live plugin's pipeline over RECORDING, in time order and without looking ahead."""
     settings = _settings(changes)
+    report = Report(f"Replay of {recording.resolve().name}")
     opened = Recording.open(recording)
     with opened.job_path() as path:
         toolpath = read_gcode(path)
@@ -32,8 +36,12 @@ def replay(recording: Path, as_json: bool, changes: tuple[str, ...]) -> None:
         for moment in opened.moments:
             check = inspector.check(opened.frame(moment), moment)
             checks.append(check)
+            if page is not None:
+                report.add(check, inspector.pictures if check.comparison else None)
             click.echo(json.dumps(check.to_json()) if as_json else _sentence(check))
     summary = Summary.of(checks)
+    if page is not None:
+        report.write(page, summary, _summary_sentence(summary))
     click.echo(json.dumps(summary.to_json()) if as_json else _summary_sentence(summary))
 
 

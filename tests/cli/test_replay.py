@@ -193,3 +193,22 @@ def test_shared_recordings_are_judged_right(shared):
             assert summary["first_failed_layer"] is None, recording.name
         else:
             assert summary["first_failed_layer"] - fault["first_visible_layer"] in (0, 1), recording.name
+
+
+def test_the_report_is_one_page_that_shows_the_failure_with_its_pictures_and_needs_nothing_else(tmp_path: Path) -> None:
+    recording = make_recording(tmp_path / "<b>loose", 12, faults=[Fault("detachment", 6)])
+    page = tmp_path / "report.html"
+    done = moop("replay", recording, "--report", page)
+    assert done.returncode == 0, done.stderr
+    text = page.read_text(encoding="utf-8")
+    assert "The print has come off" in text or "detachment" in text
+    assert text.count("data:image/jpeg;base64,") >= 9  # three of the first, of the last good and of the first bad check
+    assert "&lt;b&gt;loose" in text and "<b>loose" not in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_a_report_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+    recording = make_recording(tmp_path / "print", 3)
+    done = moop("replay", recording, "--report", tmp_path / "nowhere" / "report.html")
+    assert done.returncode == 2
+    assert "nowhere" in done.stderr and len(done.stderr.splitlines()) == 1
