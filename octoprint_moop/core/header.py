@@ -126,13 +126,17 @@ class Printer:
 
 @dataclass(frozen=True)
 class Header:
-    """The header of a recording. `cameras` maps a camera's name to it; the first has the name None as well."""
+    """The header of a recording. `cameras` maps a camera's name to it; the first has the name None as well.
+
+    reference_mm : where the machine stood when reference.jpg was taken; None for the bed's reference position
+    """
 
     printer: Printer
     cameras: tuple[tuple[str | None, Camera], ...]
     material: HsvThresholds | None
     job_file: str = "job.gcode"
     job_bytes: int = 0
+    reference_mm: tuple[float, float, float] | None = None
 
     @classmethod
     def from_json(cls, data: Any) -> Header:
@@ -154,12 +158,18 @@ class Header:
             except (KeyError, TypeError):
                 raise RecordingError("Each of the header's `cameras` needs a name and a camera.") from None
         job = data.get("job") or {}
+        try:
+            stood = (data.get("reference") or {}).get("position_mm")
+            reference_mm = None if stood is None else (float(stood["x"]), float(stood["y"]), float(stood["z"]))
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise RecordingError("The header's `reference` needs a position_mm with x, y and z.") from None
         return cls(
             printer=Printer.from_json(data["printer"]),
             cameras=tuple(cameras),
             material=HsvThresholds.from_json(data["material"]) if data.get("material") else None,
             job_file=str(job.get("file", "job.gcode")),
             job_bytes=int(job.get("bytes", 0)),
+            reference_mm=reference_mm,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -173,6 +183,8 @@ class Header:
             data["cameras"] = named
         if self.material is not None:
             data["material"] = self.material.to_json()
+        if self.reference_mm is not None:
+            data["reference"] = {"position_mm": dict(zip("xyz", self.reference_mm))}
         return data
 
     def camera(self, name: str | None = None) -> Camera:

@@ -134,6 +134,14 @@ class Inspector:
         self.look: Look | None = None
         """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
 
+    def take_reference(self, frame_bgr: np.ndarray, moment: Moment) -> bool:
+        """Look at the bed just before anything lies on it; to be called before the first check.
+
+        True where this picture is the reference from now on, False where the head hides too much of the print's place.
+        Raises FrameError where the picture cannot be used, RenderError where drawing fails.
+        """
+        return self._view(moment).take_reference(frame_bgr, moment)
+
     def accept(self) -> None:
         """The user goes on with the print as it is: what the last check saw is the new baseline, only what changes
         from there on is a failure."""
@@ -249,7 +257,7 @@ class Inspector:
             self._views[moment.camera] = View(
                 self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
                 self._header.material, self._settings.segmentation, self._reference_bgr if first else None,
-                HeadModel.from_text(self._settings.head, self._header.printer.width_mm),
+                HeadModel.from_text(self._settings.head, self._header.printer.width_mm), self._header.reference_mm,
             )  # fmt: skip
         return self._views[moment.camera]
 
