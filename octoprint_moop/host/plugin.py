@@ -12,12 +12,15 @@ from octoprint.events import Events
 
 from ..core.errors import SettingsError
 from ..core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
+from ..machine.calibrations import Calibrations
+from ..machine.homing import Homing
 from ..machine.ledger import Ledger
 from ..machine.link import EyeLink
 from ..machine.setups import Setups
 from ..machine.watch import Job, Watch
 from ..machine.webcam import Webcam, octoprint_webcam, webcam_name
 from .api import MoopApi
+from .api_calibrations import MoopCalibrationsApi
 from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
 
@@ -28,6 +31,7 @@ class MoopPlugin(
     MoopApi,
     MoopPastApi,
     MoopSetupApi,
+    MoopCalibrationsApi,
     octoprint.plugin.StartupPlugin,
     octoprint.plugin.ShutdownPlugin,
     octoprint.plugin.SettingsPlugin,
@@ -43,9 +47,11 @@ class MoopPlugin(
     def initialize(self) -> None:
         data = Path(self.get_plugin_data_folder())
         self._recordings = data / "recordings"
-        self._setups, self._found = Setups(data / "setups.json"), Setups(data / "found.json")
+        self._setups, self._found = Calibrations(data / "setups.json"), Setups(data / "found.json")
+        self._homing = Homing()
         self._lens_pictures: dict[int, bytes] = {}
-        self._pose_picture, self._bench_lock = b"", threading.Lock()
+        self._pose_picture, self._pose_position_mm = b"", None
+        self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
         self._moop_settings = self._stored_settings()
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
         # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.
@@ -97,8 +103,10 @@ class MoopPlugin(
         elif event == Events.PRINT_CANCELLING:
             watch.job_stopping("the print is being cancelled")
         elif event in (Events.DISCONNECTING, Events.PRINTER_RESET, Events.ERROR):
+            self._homing.lost()
             watch.job_stopping(f"the printer went away ({event})")
         elif event == Events.DISCONNECTED:
+            self._homing.lost()
             watch.job_over("disconnected", lost=True)
         elif event == Events.SHUTDOWN:
             watch.job_stopping("the server stops")
@@ -205,6 +213,7 @@ class MoopPlugin(
         subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
     ) -> None:  # fmt: skip
         self._watch.holds.line_sent(gcode, tags)
+        self._homing.sent(gcode, cmd)
         if gcode == "M486" or cmd.startswith("EXCLUDE_OBJECT"):
             self._watch.command_sent(cmd)
 

@@ -23,9 +23,20 @@ def segment(blobs: list[bytes], material: dict[str, Any]) -> Answer:
     return {"filament_px": int(cv2.countNonZero(mask))}, [encode_mask(mask)]
 
 
-def validate(blobs: list[bytes], header: dict[str, Any]) -> Answer:
-    """The header of a recording, read and written again: what is missing or wrong in it is an error here."""
-    return Header.from_json(header).to_json(), []
+def validate(blobs: list[bytes], header: dict[str, Any], turned: dict[str, Any] | None = None) -> Answer:
+    """The header of a recording, read and written again: what is missing or wrong in it is an error here.
+
+    turned : how the pictures had been turned that its cameras were found on; the answer's are the unturned camera's.
+    """
+    read = Header.from_json(header)
+    if isinstance(turned, dict):
+        from dataclasses import replace
+
+        from ..core.view.orientation import Orientation
+
+        back = Orientation(*(turned.get(name) is True for name in ("flip_h", "flip_v", "rotate_90"))).inverse
+        read = replace(read, cameras=tuple((name, back.camera(camera)) for name, camera in read.cameras))
+    return read.to_json(), []
 
 
 def printer(blobs: list[bytes], profile: dict[str, Any]) -> Answer:
@@ -99,6 +110,20 @@ def points(blobs: list[bytes], points: Any, lens: dict[str, Any] | None = None, 
     return pose_from_points(Points.from_json(points), (width, height), found, click_px).to_json(), []
 
 
+def bed_motion(
+    blobs: list[bytes], camera: dict[str, Any], printer: dict[str, Any], first_mm: list[float], second_mm: list[float]
+) -> Answer:
+    """Which way the bed moves, from two pictures at two positions of the machine; `camera` holds at the first."""
+    from ..core.calibration.bedmotion import measure_bed_motion
+    from ..core.camera import Camera
+
+    first, second = (decode(blob) for blob in blobs)
+    found = measure_bed_motion(
+        first, second, Camera.from_json(camera), Printer.from_json(printer), first_mm, second_mm
+    )  # fmt: skip
+    return found.to_json(), []
+
+
 def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) -> Answer:
     """The bed's grid and a box on it as this camera sees them, for a person to compare with the picture."""
     from ..core.calibration.guides import guides as find_guides
@@ -148,5 +173,8 @@ def replay(
 
 QUESTIONS = {
     question.__name__: question
-    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides, replay)
+    for question in (
+        *(segment, validate, printer, markers, board_picture, find_board, lens, pose, points, bed_motion, guides),
+        replay,
+    )
 }
