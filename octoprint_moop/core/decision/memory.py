@@ -13,27 +13,34 @@ LEAST_GAIN = 0.02  # of the expected pixels, by a pixel of misfit
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
-UNCHANGED = 8.0  # the same within which a pixel looks as it did
-CHANGED = 18.0  # grey levels in any channel by which a pixel looks unlike another time
+UNCHANGED = 8  # the same within which a pixel looks as it did
+CHANGED = 18  # grey levels in any channel by which a pixel looks unlike another time
 
 Window = tuple  # (slice, slice): rows and columns
+
+
+def planes(picture_bgr: np.ndarray) -> np.ndarray:
+    """(3, H, W) uint8: blue, green and red of a picture (H, W, 3), smoothed. OpenCV is quickest with one channel at a time."""
+    smoothed = np.empty((3, *picture_bgr.shape[:2]), np.uint8)
+    for plane, channel in zip(smoothed, cv2.split(picture_bgr)):
+        cv2.blur(channel, (3, 3), dst=plane)
+    return smoothed
 
 
 class Memory:
     """Fading means over the good checks of one view: whether a pixel was matter, and how it looked with and without.
 
-    Windows are rows and columns of the observed frame: those of the expected mask, `moved` by the misfit.
+    Windows are rows and columns of the observed frame: those of the expected mask, `moved` by the misfit. A `look` is
+    what the frame shows in one, as `planes` gives it.
     """
 
     def __init__(self, reference_bgr: np.ndarray | None, shape: tuple[int, int]) -> None:
         """`reference_bgr`: (H, W, 3) uint8, the bare bed in this pose; None where there is no picture of it."""
         self._matter = np.zeros(shape, np.float32)
-        self._covered = np.zeros((*shape, 3), np.float32)
-        self._bare = np.zeros((*shape, 3), np.float32)
+        self._covered = np.zeros((3, *shape), np.uint8)
+        self._bare = np.zeros_like(self._covered) if reference_bgr is None else planes(reference_bgr)
         self._has_covered = np.zeros(shape, bool)
         self._has_bare = np.full(shape, reference_bgr is not None)
-        if reference_bgr is not None:
-            self._bare[:] = cv2.blur(reference_bgr, (3, 3))
         self._given_up = np.zeros(shape, bool)
         self._checks = 0
         self.misfit_px = (0, 0)
@@ -59,37 +66,40 @@ class Memory:
     def looks_bare(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those of which the picture bears out that nothing lies there.
 
-        look : (h, w, 3) uint8, blurred like what is kept. Where the bare bed's look is known, it must be much more like
-        that than like the matter seen there; where no matter was seen yet, like the bare bed; where only matter was
-        seen, unlike it.
+        Where the bare bed's look is known, it must be much more like that than like the matter seen there; where no
+        matter was seen yet, like the bare bed; where only matter was seen, unlike it.
         """
-        now = look[where].astype(np.float32)
-        from_bare, from_covered = _apart(now, self._bare[there][where]), _apart(now, self._covered[there][where])
-        has_bare, has_covered = self._has_bare[there][where], self._has_covered[there][where]
-        like_bare = np.where(has_covered, from_bare < MUCH_NEARER * from_covered, from_bare < CHANGED)
-        return _placed(where, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
+        few = about(where)
+        has_bare, has_covered = self._has_bare[there][few], self._has_covered[there][few]
+        from_bare, from_covered = _apart(look, self._bare, there, few), _apart(look, self._covered, there, few)
+        nearer = from_bare < np.float32(MUCH_NEARER) * from_covered
+        like_bare = np.where(has_covered, nearer, from_bare < CHANGED)
+        return placed(where, few, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
 
     def looks_unchanged(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look just as they did without matter, which was never seen there."""
-        still = _apart(look[where].astype(np.float32), self._bare[there][where]) < UNCHANGED
-        return _placed(where, still & self._has_bare[there][where] & ~self._has_covered[there][where])
+        few = about(where)
+        still = self._has_bare[there][few] & ~self._has_covered[there][few]
+        return placed(where, few, still & (_apart(look, self._bare, there, few) < UNCHANGED))
 
     def looks_strange(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
-        now = look[where].astype(np.float32)
-        from_bare, from_covered = _apart(now, self._bare[there][where]), _apart(now, self._covered[there][where])
-        known = self._has_bare[there][where] & self._has_covered[there][where]
-        return _placed(where, known & (from_bare > 2 * CHANGED) & (from_covered > 2 * CHANGED))
+        few = about(where)
+        known = self._has_bare[there][few] & self._has_covered[there][few]
+        from_bare, from_covered = _apart(look, self._bare, there, few), _apart(look, self._covered, there, few)
+        return placed(where, few, known & (cv2.min(from_bare, from_covered) > 2 * CHANGED))
 
     def looks_new(
-        self, there: Window, look: np.ndarray, where: np.ndarray, change: float = CHANGED, unknown: bool = True
+        self, there: Window, look: np.ndarray, where: np.ndarray, change: int = CHANGED, unknown: bool = True
     ) -> np.ndarray:
         """bool: of the pixels `where`, those of which the picture bears out that something lies there that did not.
 
         change : grey levels in any channel that make a difference; unknown : what to say where the bare bed's look is not known
         """
-        apart = _apart(look[where].astype(np.float32), self._bare[there][where])
-        return _placed(where, np.where(self._has_bare[there][where], apart > change, unknown))
+        few = about(where)
+        new = _apart(look, self._bare, there, few) > change
+        has_bare = self._has_bare[there][few]
+        return placed(where, few, new | ~has_bare if unknown else new & has_bare)
 
     def learn(
         self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray, ignored: np.ndarray
@@ -103,28 +113,34 @@ class Memory:
             self._creep(window, wanted, observed, ignored)
         there = self.moved(window)
         seen, sure = observed[there] > 0, ignored[there] == 0
-        look = cv2.blur(frame_bgr[there], (3, 3))
+        look = planes(frame_bgr[there])
         seen &= ~self.looks_unchanged(there, look, seen)
         matter, fresh = self._matter[there], wanted & seen & sure & ~self._has_covered[there]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
-        cv2.accumulateWeighted(seen.astype(np.float32), matter, weight, sure.astype(np.uint8))
+        cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, sure.view(np.uint8))
         matter[fresh] = 1.0
         for kept, has, where in (
-            (self._covered[there], self._has_covered[there], seen & sure),
-            (self._bare[there], self._has_bare[there], ~seen & ~wanted & sure),
+            (self._covered, self._has_covered[there], seen & sure),
+            (self._bare, self._has_bare[there], ~seen & ~wanted & sure),
         ):
-            first = where & ~has
-            kept[first] = look[first]
-            cv2.accumulateWeighted(look, kept, LOOK_NEWEST, where.astype(np.uint8))
+            few = about(where)
+            first, mask = (where & ~has)[few].view(np.uint8), np.ascontiguousarray(where[few]).view(np.uint8)
+            for plane, now in zip(kept, look):
+                plane, now = plane[there][few], now[few]
+                cv2.copyTo(now, first, plane)
+                cv2.copyTo(cv2.addWeighted(now, LOOK_NEWEST, plane, 1 - LOOK_NEWEST, 0), mask, plane)
             has |= where
 
     def accept(self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray) -> None:
         """The user goes on with the print as it is: from now on this is how it looks, and what is missing is given up."""
         there = self.moved(window)
-        seen, look = observed[there] > 0, cv2.blur(frame_bgr[there], (3, 3))
+        seen, look = observed[there] > 0, planes(frame_bgr[there])
         self._matter[there] = seen
-        self._covered[there][seen], self._has_covered[there][seen] = look[seen], True
-        self._bare[there][~seen], self._has_bare[there][~seen] = look[~seen], True
+        for plane in range(3):
+            self._covered[plane][there][seen] = look[plane][seen]
+            self._bare[plane][there][~seen] = look[plane][~seen]
+        self._has_covered[there] |= seen
+        self._has_bare[there] |= ~seen
         self._given_up[there] |= wanted & ~seen
 
     def given_up(self, there: Window) -> np.ndarray:
@@ -138,7 +154,9 @@ class Memory:
         def warp(picture: np.ndarray) -> np.ndarray:
             return cv2.warpPerspective(picture, matrix, size, flags=cv2.INTER_LINEAR)
 
-        self._matter, self._covered, self._bare = warp(self._matter), warp(self._covered), warp(self._bare)
+        self._matter = warp(self._matter)
+        for kept in (self._covered, self._bare):
+            kept[:] = [warp(plane) for plane in kept]
         for name in ("_has_covered", "_has_bare", "_given_up"):
             setattr(self, name, warp(getattr(self, name).astype(np.uint8)) > 0)
 
@@ -180,12 +198,20 @@ class Memory:
         return int(np.count_nonzero((wanted != (observed[there] > 0)) & (ignored[there] == 0)))
 
 
-def _apart(look: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(n,) largest difference in any channel of two (n, 3)."""
-    return np.abs(look - other).max(axis=1)
+def about(where: np.ndarray) -> Window:
+    """The rows and columns that hold all pixels of a bool mask, one at least; beyond, nothing needs to be worked out."""
+    x, y, w, h = cv2.boundingRect(where.view(np.uint8))
+    return slice(y, y + max(h, 1)), slice(x, x + max(w, 1))
 
 
-def _placed(where: np.ndarray, values: np.ndarray) -> np.ndarray:
-    placed = np.zeros(where.shape, bool)
-    placed[where] = values
-    return placed
+def _apart(look: np.ndarray, kept: np.ndarray, there: Window, few: Window) -> np.ndarray:
+    """uint8, for the `few` rows and columns of the window: the largest difference in any channel."""
+    blue, green, red = (cv2.absdiff(now[few], then[there][few]) for now, then in zip(look, kept))
+    return cv2.max(cv2.max(blue, green), red)
+
+
+def placed(where: np.ndarray, few: Window, values: np.ndarray) -> np.ndarray:
+    """bool, of the shape of `where`: of its pixels, those of which the bool `values` of the `few` rows and columns say so."""
+    whole = np.zeros(where.shape, bool)
+    np.logical_and(values, where[few], out=whole[few])
+    return whole
