@@ -155,7 +155,7 @@ class Inspector:
         for camera, seen in self._seen.items():
             sight, findings = seen.sight, seen.findings
             memory = seen.view.memory(seen.moment)
-            memory.accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
+            memory.accept(findings.window, findings.wanted, sight.look, sight.observed)
             self._courses[camera].begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
@@ -215,7 +215,7 @@ class Inspector:
         look = Look(comparison, scopes=findings.scopes)
         ruling = course.rule(look, again)
         if ruling.teaches:
-            memory.learn(findings.window, findings.wanted, sight.frame_bgr, observed, ignored)
+            memory.learn(findings.window, findings.wanted, sight.look, observed, ignored)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:

@@ -63,7 +63,7 @@ class Stage:
     def good(self, layer: int, matter: np.ndarray) -> Findings:
         sight = self.sight(layer, matter)
         found = find(sight, self.memory)
-        self.memory.learn(found.window, found.wanted, sight.frame_bgr, sight.observed, sight.ignored)
+        self.memory.learn(found.window, found.wanted, sight.look, sight.observed, sight.ignored)
         return found
 
     def printed(self, upto: int) -> Stage:

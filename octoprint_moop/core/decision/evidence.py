@@ -17,6 +17,7 @@ that explains most of it and looks for the print there; a band of `tolerance_px`
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -46,6 +47,11 @@ class Sight:
     print_map: PrintMap
     layer: int
     tolerance_px: float
+
+    @cached_property
+    def look(self) -> np.ndarray:
+        """(3, H, W) uint8: the frame as the memory keeps it."""
+        return planes(self.frame_bgr)
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,7 @@ def find(sight: Sight, memory: Memory) -> Findings:
     recent = wanted & known & ~memory.given_up(there) & (layer_of > sight.layer - WINDOWS[-1])
     # the first layer covers so much at once that shares with it say nothing of the next
     later = recent & (layer_of > 0)
-    look = planes(sight.frame_bgr[there])
+    look = sight.look
     # segmentation that expects matter may see it in a shadow: what has not changed at all has not come either
     unchanged = memory.looks_unchanged(there, look, recent & observed)
     deep = recent & (cv2.erode(wanted_u8, edge) > 0)
@@ -170,12 +176,13 @@ def _count(
 ) -> tuple[Evidence, ...]:  # fmt: skip
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
+    complete = sight.expected.complete[window] > 0
+    body = about(complete)
     own = _Counter(print_map.owner[window], len(scopes))
     near = _Counter(print_map.nearest[window], len(scopes))
-    age = sight.layer - print_map.layer[window]
     figures = {
         "expected_px": own(wanted & known),
-        "total_px": own((sight.expected.complete[window] > 0) & known),
+        "total_px": own(complete & known),
         "standing_px": own(standing),
         "lost_px": own(lost),
         "stray_px": near(stray),
@@ -186,9 +193,11 @@ def _count(
         "xor_px": own(wanted & ~observed & known) + near(observed & ~wanted & known),
     }
     fresh = []
+    later, seen, age = later[body], ~unseen[body], sight.layer - print_map.layer[window][body]
+    own = _Counter(print_map.owner[window][body], len(scopes))
     for layers in WINDOWS:
         new = later & (age < layers)
-        fresh.append((own(new), own(new & ~unseen)))
+        fresh.append((own(new), own(new & seen)))
     return tuple(
         Evidence(
             scope,
@@ -210,7 +219,8 @@ class _Counter:
         counts = np.zeros(self._scopes, np.int64)
         counts[0] = np.count_nonzero(mask)
         if self._owner is not None and counts[0]:
-            by_owner = cv2.calcHist([self._owner], [0], mask.view(np.uint8), [self._scopes], [0, self._scopes])
+            few = about(mask)
+            by_owner = cv2.calcHist([self._owner[few]], [0], mask[few].view(np.uint8), [self._scopes], [0, self._scopes])
             counts[1:] = by_owner.ravel()[1:]
         return counts
 

@@ -31,7 +31,7 @@ class Memory:
     """Fading means over the good checks of one view: whether a pixel was matter, and how it looked with and without.
 
     Windows are rows and columns of the observed frame: those of the expected mask, `moved` by the misfit. A `look` is
-    what the frame shows in one, as `planes` gives it.
+    what the whole frame shows, as `planes` gives it.
     """
 
     def __init__(self, reference_bgr: np.ndarray | None, shape: tuple[int, int]) -> None:
@@ -102,18 +102,17 @@ class Memory:
         return placed(where, few, new | ~has_bare if unknown else new & has_bare)
 
     def learn(
-        self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray, ignored: np.ndarray
+        self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray, ignored: np.ndarray
     ) -> None:
         """Take in a good check.
 
-        window, wanted : of the expected mask, bool; frame_bgr, observed, ignored : the whole frame and its masks, uint8
+        window, wanted : of the expected mask, bool; look, observed, ignored : of the whole frame, uint8
         """
         self._checks += 1
         if self._checks % CREEPING_CHECKS == 0:
             self._creep(window, wanted, observed, ignored)
         there = self.moved(window)
         seen, sure = observed[there] > 0, ignored[there] == 0
-        look = planes(frame_bgr[there])
         seen &= ~self.looks_unchanged(there, look, seen)
         matter, fresh = self._matter[there], wanted & seen & sure & ~self._has_covered[there]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
@@ -126,19 +125,19 @@ class Memory:
             few = about(where)
             first, mask = (where & ~has)[few].view(np.uint8), np.ascontiguousarray(where[few]).view(np.uint8)
             for plane, now in zip(kept, look):
-                plane, now = plane[there][few], now[few]
+                plane, now = plane[there][few], now[there][few]
                 cv2.copyTo(now, first, plane)
                 cv2.copyTo(cv2.addWeighted(now, LOOK_NEWEST, plane, 1 - LOOK_NEWEST, 0), mask, plane)
             has |= where
 
-    def accept(self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray) -> None:
+    def accept(self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray) -> None:
         """The user goes on with the print as it is: from now on this is how it looks, and what is missing is given up."""
         there = self.moved(window)
-        seen, look = observed[there] > 0, planes(frame_bgr[there])
+        seen = observed[there] > 0
         self._matter[there] = seen
         for plane in range(3):
-            self._covered[plane][there][seen] = look[plane][seen]
-            self._bare[plane][there][~seen] = look[plane][~seen]
+            self._covered[plane][there][seen] = look[plane][there][seen]
+            self._bare[plane][there][~seen] = look[plane][there][~seen]
         self._has_covered[there] |= seen
         self._has_bare[there] |= ~seen
         self._given_up[there] |= wanted & ~seen
@@ -164,9 +163,13 @@ class Memory:
         """Before the first good checks: find the misfit anew, as far off as may be."""
         if self._checks >= SETTLING_CHECKS or not wanted.any():
             return
-        rows, columns = window
+        few = about(wanted)
+        wanted = wanted[few]
+        top, left = window[0].start + few[0].start, window[1].start + few[1].start
         reach = MOST_MISFIT_PX
-        around = slice(rows.start - reach, rows.stop + reach), slice(columns.start - reach, columns.stop + reach)
+        around = (
+            slice(top - reach, top + wanted.shape[0] + reach), slice(left - reach, left + wanted.shape[1] + reach)
+        )  # fmt: skip
         pays = np.where(observed[around] > 0, np.float32(1), np.float32(-1))
         pays[ignored[around] > 0] = 0
         score = cv2.matchTemplate(pays, wanted.astype(np.float32), cv2.TM_CCORR)
@@ -206,7 +209,7 @@ def about(where: np.ndarray) -> Window:
 
 def _apart(look: np.ndarray, kept: np.ndarray, there: Window, few: Window) -> np.ndarray:
     """uint8, for the `few` rows and columns of the window: the largest difference in any channel."""
-    blue, green, red = (cv2.absdiff(now[few], then[there][few]) for now, then in zip(look, kept))
+    blue, green, red = (cv2.absdiff(now[there][few], then[there][few]) for now, then in zip(look, kept))
     return cv2.max(cv2.max(blue, green), red)
 
 
