@@ -177,9 +177,9 @@ def _count(
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
     complete = sight.expected.complete[window] > 0
-    body = about(complete)
-    own = _Counter(print_map.owner[window], len(scopes))
-    near = _Counter(print_map.nearest[window], len(scopes))
+    extra = observed & ~wanted & known
+    own = _Counter(print_map.owner[window], len(scopes), complete)
+    near = _Counter(print_map.nearest[window], len(scopes), extra | stray | rim)
     figures = {
         "expected_px": own(wanted & known),
         "total_px": own(complete & known),
@@ -190,11 +190,10 @@ def _count(
         "unseen_px": own(unseen),
         "deep_px": own(deep),
         "barren_px": own(barren),
-        "xor_px": own(wanted & ~observed & known) + near(observed & ~wanted & known),
+        "xor_px": own(wanted & ~observed & known) + near(extra),
     }
     fresh = []
-    later, seen, age = later[body], ~unseen[body], sight.layer - print_map.layer[window][body]
-    own = _Counter(print_map.owner[window][body], len(scopes))
+    seen, age = ~unseen, sight.layer - print_map.layer[window]
     for layers in WINDOWS:
         new = later & (age < layers)
         fresh.append((own(new), own(new & seen)))
@@ -211,16 +210,17 @@ def _count(
 class _Counter:
     """Counts a mask's pixels for the whole print and, by whose pixels they are, for each object: (scopes,) int64."""
 
-    def __init__(self, owner: np.ndarray, scopes: int) -> None:
-        self._scopes = scopes
-        self._owner = None if scopes == 1 else (owner + 1).astype(np.uint16)
+    def __init__(self, owner: np.ndarray, scopes: int, within: np.ndarray) -> None:
+        """within : bool; no mask reaches beyond its pixels' rows and columns"""
+        self._few, self._scopes = about(within), scopes
+        self._owner = (owner[self._few] + 1).astype(np.uint16)
 
     def __call__(self, mask: np.ndarray) -> np.ndarray:
+        mask = mask[self._few]
         counts = np.zeros(self._scopes, np.int64)
         counts[0] = np.count_nonzero(mask)
-        if self._owner is not None and counts[0]:
-            few = about(mask)
-            by_owner = cv2.calcHist([self._owner[few]], [0], mask[few].view(np.uint8), [self._scopes], [0, self._scopes])
+        if self._scopes > 1 and counts[0]:
+            by_owner = cv2.calcHist([self._owner], [0], mask.view(np.uint8), [self._scopes], [0, self._scopes])
             counts[1:] = by_owner.ravel()[1:]
         return counts
 
