@@ -12,7 +12,7 @@ import numpy as np
 
 from .decision.compare import Comparison, compare
 from .decision.course import Course, Look, Ruling
-from .decision.decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Track, accept, pardon
+from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import diagnose
 from .decision.evidence import Findings, Sight, find
 from .errors import FrameError, SegmentationError
@@ -21,7 +21,7 @@ from .expected.views import Expected, MaskRenderer
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
-from .view.view import View
+from .view.view import MOVED_PX, View, moved_sentence
 
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
@@ -106,7 +106,6 @@ class _Seen:
 
     view: View
     moment: Moment
-    sight: Sight
     findings: Findings
 
 
@@ -153,9 +152,9 @@ class Inspector:
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
         for camera, seen in self._seen.items():
-            sight, findings = seen.sight, seen.findings
+            findings = seen.findings
             memory = seen.view.memory(seen.moment)
-            memory.accept(findings.window, findings.wanted, sight.look, sight.observed)
+            memory.accept(findings.window, findings.wanted, findings.look, findings.seen)
             self._courses[camera].begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
@@ -211,11 +210,13 @@ class Inspector:
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
-        self._seen[moment.camera] = _Seen(view, moment, sight, findings)
+        if findings.moved_px > MOVED_PX * tolerance_px / TOLERANCE_PX:
+            return self._blind(Look(comparison, CAMERA_MOVED, moved_sentence(findings.moved_px)), course, moment, again)
+        self._seen[moment.camera] = _Seen(view, moment, findings)
         look = Look(comparison, scopes=findings.scopes)
         ruling = course.rule(look, again)
         if ruling.teaches:
-            memory.learn(findings.window, findings.wanted, sight.look, observed, ignored)
+            memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:

@@ -216,10 +216,14 @@ class View:
             self._turn = turn
             return ""
         self._pending = turn
-        return (
-            f"The camera was moved: the picture has shifted by about {turn.motion_px:.0f} px. "
-            "The view is looked for again; calibrate the camera before the next print."
-        )
+        return moved_sentence(turn.motion_px)
+
+
+def moved_sentence(motion_px: float) -> str:
+    return (
+        f"The camera was moved: the picture has shifted by about {motion_px:.0f} px. "
+        "The view is looked for again; calibrate the camera before the next print."
+    )
 
 
 def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:
