@@ -10,7 +10,7 @@ import pytest
 
 from octoprint_moop.demo.run import Demo
 
-from .stage import OCTOPRINT, log_in, serious_violations
+from .stage import OCTOPRINT, log_in, open_tab, serious_violations
 
 FAULT_LAYER = 12
 
@@ -30,7 +30,7 @@ def tab(chromium: Any, demo: Demo) -> Iterator[Any]:
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: errors.append(str(error)))
     log_in(page, demo.server.url, demo.server.user, demo.server.password)
-    page.click("#tab_plugin_moop_link a")
+    open_tab(page)
     yield page
     context.close()
     assert errors == []
