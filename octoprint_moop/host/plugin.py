@@ -40,7 +40,7 @@ class MoopPlugin(
     octoprint.plugin.TemplatePlugin,
     octoprint.plugin.WizardPlugin,
 ):
-    """Wires OctoPrint's printer, webcam, events and settings to one `Watch`, one eye for it, and one for the set-up."""
+    """Wires OctoPrint's printer, webcam, events and settings to one `Watch`. Watch, set-up and replays have an eye each."""
 
     # --- life -----------------------------------------------------------------------------------------------------
 
@@ -54,8 +54,9 @@ class MoopPlugin(
         self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
         self._moop_settings = self._stored_settings()
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
-        # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.
-        self._watch_eye, self._bench_eye = EyeLink(), EyeLink()
+        # Questions of the set-up never make a check wait, nor a replay a question: each has an eye of its own, born
+        # when first needed.
+        self._watch_eye, self._bench_eye, self._replay_eye = EyeLink(), EyeLink(), EyeLink()
         self._ledger = Ledger(self._tell, self._plugin_version)
         self._watch = Watch(
             self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache", self._moop_settings,
@@ -69,6 +70,7 @@ class MoopPlugin(
         self._watch.stop()
         self._watch_eye.close()
         self._bench_eye.close()
+        self._replay_eye.close()
 
     def _tell(self, kind: str, payload: dict[str, Any]) -> None:
         """From the watching thread to the pages and to OctoPrint's event bus."""

@@ -23,6 +23,14 @@ def segment(blobs: list[bytes], material: dict[str, Any]) -> Answer:
     return {"filament_px": int(cv2.countNonZero(mask))}, [encode_mask(mask)]
 
 
+def shrink(blobs: list[bytes], width_px: int) -> Answer:
+    """The picture, JPEG, as a small one of that width."""
+    frame = decode(blobs[0])
+    height_px = max(1, round(width_px * frame.shape[0] / frame.shape[1]))
+    small = cv2.resize(frame, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    return {}, [bytes(cv2.imencode(".jpg", small)[1])]
+
+
 def validate(blobs: list[bytes], header: dict[str, Any], turned: dict[str, Any] | None = None) -> Answer:
     """The header of a recording, read and written again: what is missing or wrong in it is an error here.
 
@@ -175,6 +183,6 @@ QUESTIONS = {
     question.__name__: question
     for question in (
         *(segment, validate, printer, markers, board_picture, find_board, lens, pose, points, bed_motion, guides),
-        replay,
+        *(shrink, replay),
     )
 }
