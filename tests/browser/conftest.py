@@ -21,14 +21,15 @@ PUT_BACK = """() => {
     PNotify.removeAll();
     const tab = ko.dataFor(document.getElementById('moop_watch'));
     $('#temp_link a').tab('show');
-    tab.startOver();
-    tab.show('difference');
-    tab.hasMasks(false);
+    tab.view.startOver();
+    tab.view.show('difference');
+    tab.view.hasMasks(false);
     tab.trouble('');
     tab.cameraKnown(null);
     tab.status(null);
-    tab.checks([]);
-    tab.picture.image = tab.picture.masks = null;
+    tab.view.checks([]);
+    tab.view.picture.image = tab.view.picture.masks = null;
+    $('#moop_pages a[href="#moop_watch_page"]').tab('show');
 }"""
 
 

@@ -86,7 +86,7 @@ class Canned:
     def __init__(self, page: Any) -> None:
         self.printer = "idle"
         self.status: dict[str, Any] = {
-            "watching": False, "blind": "No print is running.", "job": None, "layer": None, "layers": None, "checks": 0, "last_check": None,
+            "watching": False, "blind": "No print is running.", "blind_code": "idle", "job": None, "layer": None, "layers": None, "checks": 0, "last_check": None,
             "action": "none", "reason": "", "renderer": "OpenCV", "version": "0",
         }  # fmt: skip
         self.checks: list[dict[str, Any]] = []
@@ -101,6 +101,7 @@ class Canned:
         self.status.update(
             watching=True,
             blind=None,
+            blind_code=None,
             job="plate.gcode",
             layers=120,
             layer=checks[-1]["layer"] if checks else 0,
@@ -130,7 +131,7 @@ class Canned:
             route.fulfill(json={"checks": self.checks})
         elif path.endswith(".png") or path == "segment/preview":
             route.fulfill(body=png(path.split("/")[-1]), content_type="image/png")
-        elif path.endswith("frame.jpg") or path == "frame":
+        elif path.endswith("frame.jpg") or path in ("frame", "calibrate/picture.jpg"):
             route.fulfill(body=frame(), content_type="image/jpeg")
         else:
             route.continue_()
