@@ -83,13 +83,25 @@ def test_the_next_print_begins_with_an_empty_plot(canned: Canned, open_tab: Open
     assert text(page, "selected").startswith("Layer 1 ")
 
 
-def test_a_pushed_failure_stays_on_screen_until_it_is_closed(canned: Canned, open_tab: Open) -> None:
-    canned.print_of(check(8))
+def test_a_pushed_failure_stays_on_screen_with_its_pictures_until_it_is_settled(canned: Canned, open_tab: Open) -> None:
+    canned.print_of(check(8), FAILED)
     page = open_tab()
     push(page, {"type": "failed", "check": FAILED, "action": "pause"})
     notice = page.wait_for_selector(".ui-pnotify:has-text('Detached from the bed at layer 10')")
     assert "The print was paused." in notice.inner_text()
+    page.wait_for_selector(".ui-pnotify figure:has-text('Difference') canvas")
     assert page.evaluate("PNotify.notices[PNotify.notices.length - 1].options.hide") is False
+    canned.status.update(action="none", reason="")  # resumed, from wherever
+    push(page, {"type": "status", "status": canned.status})
+    page.wait_for_selector(".ui-pnotify", state="detached")
+
+
+def test_a_failure_that_was_settled_before_it_was_told_is_not_announced(canned: Canned, open_tab: Open) -> None:
+    canned.print_of(check(8), FAILED, action="none", reason="")
+    page = open_tab()
+    push(page, {"type": "failed", "check": FAILED, "action": "pause"})
+    page.wait_for_timeout(300)
+    assert not page.is_visible(".ui-pnotify")
 
 
 def test_seen_expected_difference_and_plain_are_four_pictures(canned: Canned, open_tab: Open) -> None:
