@@ -51,10 +51,10 @@ def test_a_missing_top_is_cut_off_the_expectation(missing_px):
 def test_a_black_print_that_ends_before_a_black_head_is_cut_at_the_edge_that_catches_the_light():
     rng = np.random.default_rng(4)
     picture = rng.integers(20, 28, (200, 300, 3), dtype=np.uint8)  # the head is as dark as the print, and above it
-    picture[90:, :100], picture[90:, 180:] = 150, 150
+    picture[90:, :100], picture[90:, 180:], picture[160:] = 150, 150, 150
     picture[88:90, 100:180] += 14
     blind = np.where(np.arange(200)[:, None] < 90, 0.1, 0.5) * np.ones((1, 300))
-    blind[90:, :100], blind[90:, 180:] = -1, -1
+    blind[90:, :100], blind[90:, 180:], blind[160:] = -1, -1, -1
     story = explain(blind.astype(np.float32), block(), opponent(picture))
     assert abs(story.missing_px - 30) <= 3 and story.moved_px == (0, 0)
 
