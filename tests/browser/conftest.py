@@ -11,7 +11,7 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import FLAGS, OCTOPRINT, Canned, chromium_path, log_in, open_tab
+from .stage import FLAGS, OCTOPRINT, Canned, chromium_path, log_in, show_tab
 
 WIDE = {"width": 1280, "height": 1400}
 # What a test may have left behind in the page: themes, dialogs, pop-ups, and what the tab was told.
@@ -96,7 +96,7 @@ def open_tab(page: Any, canned: Canned) -> Callable[[], Any]:
             }""",
             canned.printer,
         )
-        open_tab(page)
+        show_tab(page)
         page.wait_for_selector("[data-test-id=moop-state-text]:visible")
         page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).status()")
         return page

@@ -34,9 +34,11 @@ def log_in(page: Any, url: str, user: str, password: str) -> None:
     wait_for_page(page)
 
 
-def open_tab(page: Any) -> None:
+def show_tab(page: Any) -> None:
     """Shows our tab, also where it has dropped into the menu of tabs that a wide font leaves no room for."""
-    page.evaluate("$('#tab_plugin_moop_link a').tab('show')")
+    page.wait_for_function(
+        "() => (document.querySelector('#tab_plugin_moop_link a').click(), $('#tab_plugin_moop').is(':visible'))"
+    )
 
 
 def wait_for_page(page: Any) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from octoprint_moop.demo.run import Demo
 
-from .stage import OCTOPRINT, log_in, open_tab, serious_violations
+from .stage import OCTOPRINT, log_in, serious_violations, show_tab
 
 FAULT_LAYER = 12
 
@@ -31,7 +31,7 @@ def tab(chromium: Any, demo: Demo) -> Iterator[Any]:
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: errors.append(str(error)))
     log_in(page, demo.server.url, demo.server.user, demo.server.password)
-    open_tab(page)
+    show_tab(page)
     yield page
     context.close()
     assert errors == []
