@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from octoprint_moop.demo.run import Demo  # noqa: E402
-from tests.browser.stage import DARK, FLAGS, ONE_COLUMN, chromium_path, log_in, wait_for_page  # noqa: E402
+from tests.browser.stage import DARK, FLAGS, ONE_COLUMN, chromium_path, log_in, show_tab, wait_for_page  # noqa: E402
 
 WIDE, NARROW = {"width": 1280, "height": 1000}, {"width": 400, "height": 800}
 
@@ -25,7 +25,7 @@ WIDE, NARROW = {"width": 1280, "height": 1000}, {"width": 400, "height": 800}
 def open_tab(page: Any, url: str) -> None:
     page.goto(url + "/?l10n=en")
     wait_for_page(page)
-    page.click("#tab_plugin_moop_link a")
+    show_tab(page)
     page.wait_for_selector("[data-test-id=moop-state-text]:visible")
     page.wait_for_timeout(2500)  # pictures, plot
 

@@ -183,6 +183,8 @@ class BedMotion:
     def __post_init__(self) -> None:
         if self.kind not in BED_MOTIONS:
             raise CameraError(f"Unknown bed motion {self.kind!r}; known are {', '.join(BED_MOTIONS)}.")
+        if not all(map(math.isfinite, self.reference_mm)):
+            raise CameraError("The bed's reference position contains a number that is not finite. Set it again.")
 
     def room_from_print_mm(self, position_mm: Sequence[float]) -> np.ndarray:
         """(3,) float64 to add to a point of the print when the machine stands at `position_mm` (X, Y, Z)."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from .decision.compare import Comparison, compare
 from .decision.course import Course, Look, Ruling
-from .decision.decide import CAMERA_MOVED, FAILED, OK, SUSPECT, UNUSABLE, Track, accept, pardon
+from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import diagnose
 from .decision.evidence import Findings, Sight, find
 from .errors import FrameError, SegmentationError
@@ -21,7 +21,7 @@ from .expected.views import Expected, MaskRenderer
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
-from .view.view import View
+from .view.view import MOVED_PX, View, moved_sentence
 
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
@@ -106,7 +106,6 @@ class _Seen:
 
     view: View
     moment: Moment
-    sight: Sight
     findings: Findings
 
 
@@ -134,6 +133,14 @@ class Inspector:
         self.look: Look | None = None
         """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
 
+    def take_reference(self, frame_bgr: np.ndarray, moment: Moment) -> bool:
+        """Look at the bed just before anything lies on it; to be called before the first check.
+
+        True where this picture is the reference from now on, False where the head hides too much of the print's place.
+        Raises FrameError where the picture cannot be used, RenderError where drawing fails.
+        """
+        return self._view(moment).take_reference(frame_bgr, moment)
+
     def accept(self) -> None:
         """The user goes on with the print as it is: what the last check saw is the new baseline, only what changes
         from there on is a failure."""
@@ -145,9 +152,9 @@ class Inspector:
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
         for camera, seen in self._seen.items():
-            sight, findings = seen.sight, seen.findings
+            findings = seen.findings
             memory = seen.view.memory(seen.moment)
-            memory.accept(findings.window, findings.wanted, sight.frame_bgr, sight.observed)
+            memory.accept(findings.window, findings.wanted, findings.look, findings.seen)
             self._courses[camera].begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
@@ -203,11 +210,13 @@ class Inspector:
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
-        self._seen[moment.camera] = _Seen(view, moment, sight, findings)
+        if findings.moved_px > MOVED_PX * tolerance_px / TOLERANCE_PX:
+            return self._blind(Look(comparison, CAMERA_MOVED, moved_sentence(findings.moved_px)), course, moment, again)
+        self._seen[moment.camera] = _Seen(view, moment, findings)
         look = Look(comparison, scopes=findings.scopes)
         ruling = course.rule(look, again)
         if ruling.teaches:
-            memory.learn(findings.window, findings.wanted, sight.frame_bgr, observed, ignored)
+            memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
@@ -249,7 +258,7 @@ class Inspector:
             self._views[moment.camera] = View(
                 self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
                 self._header.material, self._settings.segmentation, self._reference_bgr if first else None,
-                HeadModel.from_text(self._settings.head, self._header.printer.width_mm),
+                HeadModel.from_text(self._settings.head, self._header.printer.width_mm), self._header.reference_mm,
             )  # fmt: skip
         return self._views[moment.camera]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 from pathlib import Path
@@ -13,10 +14,13 @@ from octoprint.plugin import BlueprintPlugin
 
 from ..core.errors import RecordingError
 from ..core.settings import DEFAULTS, read_value
+from ..machine import recorder
 from ..machine.link import EyeLink
 from .routes import body, picture_response
 
 REPLAY_S = 1800.0
+THUMBNAIL_S = 20.0
+THUMBNAIL_PX = 192
 MASKS = ("seen", "expected", "ignored")
 
 
@@ -24,6 +28,7 @@ class MoopPastApi(BlueprintPlugin):
     """Mixed into the plugin, whose attributes it uses."""
 
     _bench_eye: EyeLink
+    _replay_eye: EyeLink
     _recordings: Path
 
     @BlueprintPlugin.route("/recordings/<name>/checks", methods=["GET"])
@@ -52,6 +57,45 @@ class MoopPastApi(BlueprintPlugin):
             flask.abort(404, "There is no such picture.")
         return picture_response(path.read_bytes(), "image/jpeg" if kind == "frame.jpg" else "image/png")
 
+    @BlueprintPlugin.route("/recordings/<name>/thumbnail.jpg", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def get_thumbnail(self, name: str) -> Any:
+        """A small picture of how the print ended; made once and kept in the cache."""
+        path = _frame(self._recording(name), -1)
+        if not path.is_file():
+            flask.abort(404, "There is no picture.")
+        small = self._recordings.parent / "cache" / "thumbnails" / f"{name}.{path.stem}.jpg"
+        try:
+            return picture_response(small.read_bytes())
+        except OSError:
+            pass
+        _, blobs = self._bench_eye.ask("shrink", path.read_bytes(), timeout_s=THUMBNAIL_S, width_px=THUMBNAIL_PX)
+        with contextlib.suppress(OSError):  # it is drawn anew the next time
+            small.parent.mkdir(parents=True, exist_ok=True)
+            for older in small.parent.glob(f"{name}.*.jpg"):
+                older.unlink(missing_ok=True)
+            small.write_bytes(blobs[0])
+        return picture_response(blobs[0])
+
+    @BlueprintPlugin.route("/recordings/<name>/keep", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CONTROL.require(403)
+    def post_keep(self, name: str) -> Any:
+        """Body: {"keep": true}, and it is never removed to make room; false, and it is like the others."""
+        keep = body().get("keep")
+        if not isinstance(keep, bool):
+            flask.abort(400, 'Send {"keep": true} or {"keep": false}.')
+        recorder.set_keep(self._recording(name), keep)
+        return flask.jsonify(keep=keep)
+
+    @BlueprintPlugin.route("/recordings/<name>/replay", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    def get_replay(self, name: str) -> Any:
+        """How far the replay that runs is: `done` of its `of` pictures, by the masks that it has drawn so far."""
+        numbers = [int(path.name.partition(".")[0]) for path in self._masks(name).glob("*.png")]
+        with contextlib.suppress(OSError), (self._recording(name) / "frames.jsonl").open("rb") as lines:
+            return flask.jsonify(done=max(numbers, default=-1) + 1, of=sum(1 for _ in lines))
+        return flask.jsonify(done=0, of=0)
+
     @BlueprintPlugin.route("/recordings/<name>/replay", methods=["POST"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def post_replay(self, name: str) -> Any:
@@ -65,7 +109,7 @@ class MoopPastApi(BlueprintPlugin):
             masks.mkdir(parents=True)
         except OSError as error:
             raise RecordingError(f"There is no room for the pictures of a replay: {error.strerror or error}.") from None
-        found, _ = self._bench_eye.ask(
+        found, _ = self._replay_eye.ask(
             "replay", timeout_s=REPLAY_S, recording=str(folder), material=self._material(values), settings=values,
             masks=str(masks),
         )  # fmt: skip

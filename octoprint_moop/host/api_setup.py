@@ -13,6 +13,8 @@ from octoprint.plugin import BlueprintPlugin
 
 from ..core.errors import CalibrationError
 from ..core.settings import Settings
+from ..machine.calibrations import Calibrations
+from ..machine.homing import Homing
 from ..machine.ledger import Ledger
 from ..machine.link import EyeLink
 from ..machine.setups import Setups
@@ -33,11 +35,13 @@ class MoopSetupApi(BlueprintPlugin):
     _ledger: Ledger
     _webcam: Webcam
     _bench_eye: EyeLink
-    _setups: Setups
+    _setups: Calibrations
     _found: Setups
+    _homing: Homing
     _moop_settings: Settings
     _lens_pictures: dict[int, bytes]
     _pose_picture: bytes
+    _pose_position_mm: tuple[float, float, float] | None
     _bench_lock: threading.Lock
 
     # --- the set-up as a whole ------------------------------------------------------------------------------------
@@ -46,16 +50,27 @@ class MoopSetupApi(BlueprintPlugin):
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def get_setup(self) -> Any:
         """What is set now, as a recording's header; without a camera where none has been set up yet."""
-        parts = self._setups.get(*self._setup_key()) or {"printer": self._printer_geometry()}
-        return flask.jsonify({"format": "moop-recording", "version": 1, **parts, "material": self._material({})})
+        current = self._setups.current(*self._setup_key())
+        parts = {"printer": self._printer_geometry()} if current is None else current.parts
+        header = {"format": "moop-recording", "version": 1, **parts, "material": self._material({})}
+        return flask.jsonify({**header, "calibration": None if current is None else current.told(self._seen_now())})
 
     @BlueprintPlugin.route("/setup", methods=["POST"])
     @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
     def post_setup(self) -> Any:
-        header, _ = self._bench_eye.ask("validate", timeout_s=QUICK_S, header=body())
+        """Takes over a header, or a calibration that was exported. Body besides, all optional: `name` and `how` it was
+        found ("pose", "points"), `error_px`; `turned`: {"flip_h", "flip_v", "rotate_90"} where the pictures that it
+        was found from had been turned so, as OctoPrint's pages do."""
+        wanted = body()
+        header, _ = self._bench_eye.ask("validate", timeout_s=QUICK_S, header=wanted, turned=wanted.get("turned"))
         profile, webcam = self._setup_key()
         parts: dict[str, Any] = {name: header[name] for name in ("printer", "camera", "cameras") if name in header}
-        changed = self._setups.put(profile, webcam, parts)
+        how = wanted.get("how")
+        error_px = wanted.get("error_px")
+        changed = self._setups.put(
+            profile, webcam, parts, str(wanted.get("name") or ""), how if how in ("pose", "points") else "given",
+            self._seen_now(), error_px if isinstance(error_px, dict) else None,
+        )  # fmt: skip
         material = header.get("material")
         if material is not None and material != self._material({}):
             low, high = material["hue_deg"]
@@ -171,10 +186,9 @@ class MoopSetupApi(BlueprintPlugin):
             raise CalibrationError("The lens is not known yet. Calibrate it with the checkerboard first.")
         if markers is None:
             raise CalibrationError("It is not known where the markers lie. Make the marker plate, or send its markers.")
-        standing = self._standing()
-        self._pose_picture = jpeg = self._grab()
+        standing = self._take_pose_picture()
         found, _ = self._bench_eye.ask(
-            "pose", jpeg, timeout_s=LONG_S, lens=lens, markers=markers, material=wanted.get("material")
+            "pose", self._pose_picture, timeout_s=LONG_S, lens=lens, markers=markers, material=wanted.get("material")
         )
         return flask.jsonify(**found, bed_reference_mm=standing)
 
@@ -182,9 +196,7 @@ class MoopSetupApi(BlueprintPlugin):
     @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
     def post_points_picture(self) -> Any:
         """Takes the picture that is to be clicked on; answers where the printer says it stands, or null."""
-        standing = self._standing()
-        self._pose_picture = self._grab()
-        return flask.jsonify(bed_reference_mm=standing)
+        return flask.jsonify(bed_reference_mm=self._take_pose_picture())
 
     @BlueprintPlugin.route("/calibrate/points", methods=["POST"])
     @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
@@ -229,12 +241,18 @@ class MoopSetupApi(BlueprintPlugin):
         profile = self._printer_profile_manager.get_current_or_default()
         return self._bench_eye.ask("printer", timeout_s=QUICK_S, profile=profile)[0]
 
-    def _standing(self) -> dict[str, float] | None:
+    def _take_pose_picture(self) -> dict[str, float] | None:
+        """Takes the picture that the camera's place is found on; answers where the printer says that it stands."""
+        position_mm = self._stands_at_mm()
+        self._pose_picture = self._grab()
+        self._pose_position_mm = position_mm if self._homing.known else None
+        return None if position_mm is None else dict(zip("xyz", position_mm))
+
+    def _stands_at_mm(self, timeout_s: float = 10.0) -> tuple[float, float, float] | None:
         """Where the printer stands, as it says itself; None where it is not connected, or prints."""
         if self._printer.get_state_id() != "OPERATIONAL":
             return None
-        position_mm = self._watch.holds.where(timeout_s=10.0)
-        return None if position_mm is None else dict(zip("xyz", position_mm))
+        return self._watch.holds.where(timeout_s=timeout_s)
 
     def _material(self, over: dict[str, Any]) -> dict[str, Any]:
         """The filament's thresholds as a recording's header has them: as saved, or as `over` says."""

@@ -12,14 +12,15 @@ from octoprint.events import Events
 
 from ..core.errors import SettingsError
 from ..core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
+from ..machine.calibrations import Calibrations
+from ..machine.homing import Homing
 from ..machine.ledger import Ledger
 from ..machine.link import EyeLink
-from ..machine.meshes import Meshes
 from ..machine.setups import Setups
 from ..machine.watch import Job, Watch
 from ..machine.webcam import Webcam, octoprint_webcam, webcam_name
 from .api import MoopApi
-from .api_jobs import MoopJobsApi
+from .api_calibrations import MoopCalibrationsApi
 from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
 
@@ -28,9 +29,9 @@ REPOSITORY = ("octoprint-moop", "octoprint_moop")
 
 class MoopPlugin(
     MoopApi,
-    MoopJobsApi,
     MoopPastApi,
     MoopSetupApi,
+    MoopCalibrationsApi,
     octoprint.plugin.StartupPlugin,
     octoprint.plugin.ShutdownPlugin,
     octoprint.plugin.SettingsPlugin,
@@ -39,21 +40,23 @@ class MoopPlugin(
     octoprint.plugin.TemplatePlugin,
     octoprint.plugin.WizardPlugin,
 ):
-    """Wires OctoPrint's printer, webcam, events and settings to one `Watch`, one eye for it, and one for the set-up."""
+    """Wires OctoPrint's printer, webcam, events and settings to one `Watch`. Watch, set-up and replays have an eye each."""
 
     # --- life -----------------------------------------------------------------------------------------------------
 
     def initialize(self) -> None:
         data = Path(self.get_plugin_data_folder())
         self._recordings = data / "recordings"
-        self._setups, self._found = Setups(data / "setups.json"), Setups(data / "found.json")
+        self._setups, self._found = Calibrations(data / "setups.json"), Setups(data / "found.json")
+        self._homing = Homing()
         self._lens_pictures: dict[int, bytes] = {}
-        self._pose_picture, self._bench_lock = b"", threading.Lock()
-        self._meshes, self._meshes_lock = Meshes(data / "meshes"), threading.Lock()
+        self._pose_picture, self._pose_position_mm = b"", None
+        self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
         self._moop_settings = self._stored_settings()
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
-        # Questions of the set-up never make a check wait: they go to an eye of their own, born when first needed.
-        self._watch_eye, self._bench_eye = EyeLink(), EyeLink()
+        # Questions of the set-up never make a check wait, nor a replay a question: each has an eye of its own, born
+        # when first needed.
+        self._watch_eye, self._bench_eye, self._replay_eye = EyeLink(), EyeLink(), EyeLink()
         self._ledger = Ledger(self._tell, self._plugin_version)
         self._watch = Watch(
             self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache", self._moop_settings,
@@ -67,6 +70,7 @@ class MoopPlugin(
         self._watch.stop()
         self._watch_eye.close()
         self._bench_eye.close()
+        self._replay_eye.close()
 
     def _tell(self, kind: str, payload: dict[str, Any]) -> None:
         """From the watching thread to the pages and to OctoPrint's event bus."""
@@ -101,24 +105,21 @@ class MoopPlugin(
         elif event == Events.PRINT_CANCELLING:
             watch.job_stopping("the print is being cancelled")
         elif event in (Events.DISCONNECTING, Events.PRINTER_RESET, Events.ERROR):
+            self._homing.lost()
             watch.job_stopping(f"the printer went away ({event})")
         elif event == Events.DISCONNECTED:
+            self._homing.lost()
             watch.job_over("disconnected", lost=True)
         elif event == Events.SHUTDOWN:
             watch.job_stopping("the server stops")
 
     def _job(self, payload: Any) -> Job:
         name = str(payload.get("name") or payload.get("path") or "")
-        origin, path = str(payload.get("origin")), str(payload.get("path") or "")
-        key = self._job_key(origin, path)
-        mesh, header = self._mesh_of(key), self._setups.get(*self._setup_key())
-        if origin != "local":
-            why = (
-                "This print runs from the printer's own storage, where nobody can hold it for a look. "
-                "With a model and its layer height it can still be watched: attach one to this job."
-            )
-            return Job(name, None, header, why, key, mesh, held=False)
-        return Job(name, self._file_manager.path_on_disk("local", path), header, "", key, mesh)
+        if payload.get("origin") != "local":
+            why = "This print runs from the printer's own storage, where nobody can hold it for a look."
+            return Job(name, None, None, why)
+        path = self._file_manager.path_on_disk("local", payload["path"])
+        return Job(name, path, self._setups.get(*self._setup_key()))
 
     def _setup_key(self) -> tuple[str, str]:
         """Printer profile and webcam that a set-up holds for."""
@@ -196,7 +197,6 @@ class MoopPlugin(
             "octoprint.comm.protocol.atcommand.queuing": self.on_atcommand_queuing,
             "octoprint.comm.protocol.scripts": self.on_script,
             "octoprint.access.permissions": self.permissions,
-            "octoprint.server.http.bodysize": self.body_sizes,
             "octoprint.events.register_custom_events": self.custom_events,
             "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
             "octoprint.plugin.softwareupdate.check_config": self.update_information,
@@ -215,6 +215,7 @@ class MoopPlugin(
         subcode: Any = None, tags: Any = None, *args: Any, **kwargs: Any,
     ) -> None:  # fmt: skip
         self._watch.holds.line_sent(gcode, tags)
+        self._homing.sent(gcode, cmd)
         if gcode == "M486" or cmd.startswith("EXCLUDE_OBJECT"):
             self._watch.command_sent(cmd)
 

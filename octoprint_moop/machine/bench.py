@@ -16,8 +16,6 @@ from .pictures import decode, encode_mask
 
 Answer = tuple[dict[str, Any], list[bytes]]
 
-NEEDS_HEIGHT = "The job cannot be read as G-code: enter the print's layer height, and the model alone is compared with."
-
 
 def segment(blobs: list[bytes], material: dict[str, Any]) -> Answer:
     """The mask, as a PNG, that these thresholds give on a frame."""
@@ -25,9 +23,28 @@ def segment(blobs: list[bytes], material: dict[str, Any]) -> Answer:
     return {"filament_px": int(cv2.countNonZero(mask))}, [encode_mask(mask)]
 
 
-def validate(blobs: list[bytes], header: dict[str, Any]) -> Answer:
-    """The header of a recording, read and written again: what is missing or wrong in it is an error here."""
-    return Header.from_json(header).to_json(), []
+def shrink(blobs: list[bytes], width_px: int) -> Answer:
+    """The picture, JPEG, as a small one of that width."""
+    frame = decode(blobs[0])
+    height_px = max(1, round(width_px * frame.shape[0] / frame.shape[1]))
+    small = cv2.resize(frame, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    return {}, [bytes(cv2.imencode(".jpg", small)[1])]
+
+
+def validate(blobs: list[bytes], header: dict[str, Any], turned: dict[str, Any] | None = None) -> Answer:
+    """The header of a recording, read and written again: what is missing or wrong in it is an error here.
+
+    turned : how the pictures had been turned that its cameras were found on; the answer's are the unturned camera's.
+    """
+    read = Header.from_json(header)
+    if isinstance(turned, dict):
+        from dataclasses import replace
+
+        from ..core.view.orientation import Orientation
+
+        back = Orientation(*(turned.get(name) is True for name in ("flip_h", "flip_v", "rotate_90"))).inverse
+        read = replace(read, cameras=tuple((name, back.camera(camera)) for name, camera in read.cameras))
+    return read.to_json(), []
 
 
 def printer(blobs: list[bytes], profile: dict[str, Any]) -> Answer:
@@ -101,6 +118,20 @@ def points(blobs: list[bytes], points: Any, lens: dict[str, Any] | None = None, 
     return pose_from_points(Points.from_json(points), (width, height), found, click_px).to_json(), []
 
 
+def bed_motion(
+    blobs: list[bytes], camera: dict[str, Any], printer: dict[str, Any], first_mm: list[float], second_mm: list[float]
+) -> Answer:
+    """Which way the bed moves, from two pictures at two positions of the machine; `camera` holds at the first."""
+    from ..core.calibration.bedmotion import measure_bed_motion
+    from ..core.camera import Camera
+
+    first, second = (decode(blob) for blob in blobs)
+    found = measure_bed_motion(
+        first, second, Camera.from_json(camera), Printer.from_json(printer), first_mm, second_mm
+    )  # fmt: skip
+    return found.to_json(), []
+
+
 def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) -> Answer:
     """The bed's grid and a box on it as this camera sees them, for a person to compare with the picture."""
     from ..core.calibration.guides import guides as find_guides
@@ -108,38 +139,6 @@ def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) 
 
     lines = find_guides(Camera.from_json(camera), Printer.from_json(printer))
     return {"lines": [line.to_json() for line in lines]}, []
-
-
-def mesh(blobs: list[bytes], mesh: dict[str, Any], job: str | None) -> Answer:
-    """What a model file holds, and what is wrong with it or with how it is placed: bytes, triangles, size_mm, notes.
-
-    mesh : as MeshChoice reads it; the layer height is checked only where the job cannot be read
-    """
-    from pathlib import Path
-
-    from ..core.errors import GcodeError
-    from ..core.expected.placing import place
-    from ..core.expected.solid import read_solid
-    from ..core.gcode.read import read_gcode
-    from .roads import MeshChoice, find_road
-
-    choice = MeshChoice.from_json(mesh)
-    solid = read_solid(choice.path)
-    low, high = solid.bounds_mm()
-    try:
-        toolpath = None if job is None else read_gcode(Path(job))
-    except GcodeError:
-        toolpath = None
-    if toolpath is not None:
-        notes = place(solid, choice.placement, toolpath).notes
-    elif choice.layer_height_mm is not None:
-        notes = find_road(None, choice).notes
-    else:
-        notes = (*solid.notes, NEEDS_HEIGHT)
-    return {
-        "bytes": choice.path.stat().st_size, "triangles": len(solid.triangles_mm),
-        "size_mm": [round(float(side), 3) for side in high - low], "notes": list(notes),
-    }, []  # fmt: skip
 
 
 def replay(
@@ -152,6 +151,7 @@ def replay(
     from dataclasses import replace
     from pathlib import Path
 
+    from ..core.gcode.read import read_gcode
     from ..core.inspection import Inspector, Summary
     from ..core.settings import read_settings
     from .recording import Recording
@@ -160,14 +160,13 @@ def replay(
     opened = Recording.open(recording)
     header = replace(opened.header, material=HsvThresholds.from_json(material))
     checks = []
-    road = opened.road()
+    with opened.job_path() as path:
+        toolpath = read_gcode(path)
     with open_renderer() as renderer:
-        inspector = Inspector(
-            header, road.toolpath, road.drawn_by(renderer), read_settings(settings), opened.reference()
-        )
+        inspector = Inspector(header, toolpath, renderer, read_settings(settings), opened.reference())
         for number, moment in enumerate(opened.moments):
             inspector.pictures = None
-            checks.append(inspector.check(opened.frame(moment), road.moment(moment)))
+            checks.append(inspector.check(opened.frame(moment), moment))
             if inspector.pictures is not None:
                 pictures = inspector.pictures
                 for kind, mask in (
@@ -182,5 +181,8 @@ def replay(
 
 QUESTIONS = {
     question.__name__: question
-    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides, mesh, replay)
+    for question in (
+        *(segment, validate, printer, markers, board_picture, find_board, lens, pose, points, bed_motion, guides),
+        *(shrink, replay),
+    )
 }

@@ -23,6 +23,8 @@ SPARE_BYTES = 300 * 1024 * 1024
 """What is left to the system: nothing is recorded on a disk with less free space than this."""
 
 _WORSE = ("ok", "unusable", "camera_moved", "suspect", "failed")
+_KEEP = "keep"
+"""An empty file of this name in a recording's folder: the user wants to keep it."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
 
@@ -54,14 +56,6 @@ class Recorder:
         if self.folder is not None:
             try:
                 (self.folder / "reference.jpg").write_bytes(jpeg)
-            except OSError as error:
-                self._give_up(error)
-
-    def renew(self, header: dict[str, Any]) -> None:
-        """What the header says of the print has changed."""
-        if self.folder is not None:
-            try:
-                write_json(self.folder / "recording.json", header)
             except OSError as error:
                 self._give_up(error)
 
@@ -111,14 +105,18 @@ class Recorder:
 
 @dataclass(frozen=True)
 class Kept:
-    """One recording on disk. outcome: job, checks, worst verdict with its mode and layer, ended (absent: cut short)."""
+    """One recording on disk. outcome: job, checks, worst verdict with its mode and layer, ended (absent: cut short).
+
+    keep : the user wants it to stay, however little room there is
+    """
 
     name: str
     bytes: int
     outcome: dict[str, Any]
+    keep: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        return {"name": self.name, "bytes": self.bytes, **self.outcome}
+        return {"name": self.name, "bytes": self.bytes, **self.outcome, "keep": self.keep}
 
 
 def kept(root: Path) -> list[Kept]:
@@ -132,13 +130,14 @@ def kept(root: Path) -> list[Kept]:
         except (OSError, ValueError):
             outcome = {}
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-        found.append(Kept(folder.name, size, outcome if isinstance(outcome, dict) else {}))
+        found.append(Kept(folder.name, size, outcome if isinstance(outcome, dict) else {}, (folder / _KEEP).exists()))
     return found
 
 
 def make_room(root: Path, budget_bytes: int, keep: Path | None = None) -> None:
     """Remove recordings until they fit into the budget: the oldest first, those of failed prints last.
 
+    Those that the user keeps are never removed, and take their room from the others.
     keep : the one that is being written, never removed
     """
     recordings = kept(root)
@@ -146,7 +145,7 @@ def make_room(root: Path, budget_bytes: int, keep: Path | None = None) -> None:
     for recording in sorted(recordings, key=lambda r: (r.outcome.get("verdict") == "failed", r.name)):
         if used <= budget_bytes:
             return
-        if keep is None or recording.name != keep.name:
+        if not recording.keep and (keep is None or recording.name != keep.name):
             shutil.rmtree(root / recording.name, ignore_errors=True)
             used -= recording.bytes
 
@@ -155,6 +154,17 @@ def find(root: Path, name: str) -> Path | None:
     """The recording's folder; None where there is none of that name, or the name is not one."""
     folder = root / name
     return folder if NAME.fullmatch(name) and folder.is_dir() else None
+
+
+def set_keep(folder: Path, keep: bool) -> None:
+    """Whether this recording stays when room is needed. Raises RecordingError where that cannot be written."""
+    try:
+        if keep:
+            (folder / _KEEP).touch()
+        else:
+            (folder / _KEEP).unlink(missing_ok=True)
+    except OSError as error:
+        raise RecordingError(f"{folder.name} cannot be marked: {error.strerror or error}.") from None
 
 
 def remove(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the set-up found, kept for each printer profile and webcam: the printer's geometry and the calibrated camera."""
+"""What the set-up found, kept for each printer profile and webcam in one JSON file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ log = logging.getLogger("octoprint.plugins.moop.setups")
 
 
 class Setups:
-    """Whatever is found once for a printer profile and a webcam, in one JSON file. For the set-up itself these are the
-    parts `printer`, `camera` and `cameras` of a recording's header."""
+    """Whatever is found once for a printer profile and a webcam, by name: a lens, a plate's markers, `calibrations`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -22,6 +22,7 @@ class Webcam:
     def __init__(self, find: Callable[[], tuple[str, Callable[[], Iterable[bytes]]]]) -> None:
         self._find = find
         self._busy = threading.Lock()
+        self.last_size_px: list[int] | None = None  # [width, height] of the last picture
 
     def grab(self, timeout_s: float, interrupted: threading.Event | None = None) -> bytes:
         """A JPEG, begun after the call. Raises FrameError within about `timeout_s`, or soon after `interrupted`."""
@@ -70,6 +71,7 @@ class Webcam:
                 raise FrameError(f"The webcam sent more than {MAX_JPEG_BYTES >> 20} MB. Is this a stream's address?")
         picture = b"".join(pieces)
         check_jpeg(picture)
+        self.last_size_px = jpeg_size_px(picture)
         return picture
 
 
@@ -82,6 +84,17 @@ def check_jpeg(data: bytes) -> None:
         raise FrameError(f"The webcam's answer is not a JPEG; it begins with {begins!r}. Look at its snapshot address.")
     if data.rfind(b"\xff\xd9", max(2, len(data) - 4096)) < 0:
         raise FrameError(f"The webcam's picture breaks off after {len(data)} bytes. Look at its stream.")
+
+
+def jpeg_size_px(data: bytes) -> list[int] | None:
+    """[width, height] as a JPEG's frame header has them, without unpacking the picture; None where it has none."""
+    at = 2
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        kind, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            return [int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")]
+        at += 1 if kind == 0xFF else 2 + length
+    return None
 
 
 def octoprint_webcam(name: str) -> tuple[str, Callable[[], Iterable[bytes]]]:
@@ -105,6 +118,19 @@ def webcam_name(name: str) -> str:
     with contextlib.suppress(FrameError):
         return octoprint_webcam(name)[0]
     return name
+
+
+def octoprint_turns(name: str) -> dict[str, bool]:
+    """How OctoPrint turns that webcam's picture in its pages: flip_h, flip_v, rotate_90; nothing where there is none.
+
+    Snapshots are never turned: not by OctoPrint, and not here.
+    """
+    from octoprint.webcams import get_snapshot_webcam, get_webcams
+
+    webcam: Any = get_webcams().get(name) if name else get_snapshot_webcam()
+    config = None if webcam is None else webcam.config
+    wanted = {"flip_h": "flipH", "flip_v": "flipV", "rotate_90": "rotate90"}
+    return {ours: bool(getattr(config, theirs, False)) for ours, theirs in wanted.items()}
 
 
 def _in_short(error: Exception) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import FLAGS, OCTOPRINT, Canned, chromium_path, log_in
+from .stage import FLAGS, OCTOPRINT, Canned, chromium_path, log_in, show_tab
 
 WIDE = {"width": 1280, "height": 1400}
 # What a test may have left behind in the page: themes, dialogs, pop-ups, and what the tab was told.
@@ -21,14 +21,15 @@ PUT_BACK = """() => {
     PNotify.removeAll();
     const tab = ko.dataFor(document.getElementById('moop_watch'));
     $('#temp_link a').tab('show');
-    tab.startOver();
-    tab.show('difference');
-    tab.hasMasks(false);
+    tab.view.startOver();
+    tab.view.show('difference');
+    tab.view.hasMasks(false);
     tab.trouble('');
     tab.cameraKnown(null);
     tab.status(null);
-    tab.checks([]);
-    tab.picture.image = tab.picture.masks = null;
+    tab.view.checks([]);
+    tab.view.picture.image = tab.view.picture.masks = null;
+    $('#moop_pages a[href="#moop_watch_page"]').tab('show');
 }"""
 
 
@@ -95,7 +96,7 @@ def open_tab(page: Any, canned: Canned) -> Callable[[], Any]:
             }""",
             canned.printer,
         )
-        page.click("#tab_plugin_moop_link a")
+        show_tab(page)
         page.wait_for_selector("[data-test-id=moop-state-text]:visible")
         page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).status()")
         return page

@@ -9,7 +9,7 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import log_in
+from .stage import log_in, show_tab
 
 GUEST, PASSWORD = "onlooker", "only-looking"
 
@@ -29,7 +29,7 @@ def onlooker(chromium: Any, server: DemoServer) -> Iterator[Any]:
     context = chromium.new_context(viewport={"width": 1280, "height": 1000})
     page = context.new_page()
     log_in(page, server.url, GUEST, PASSWORD)
-    page.click("#tab_plugin_moop_link a")
+    show_tab(page)
     page.wait_for_selector("[data-test-id=moop-state-text]:visible")
     yield page
     context.close()

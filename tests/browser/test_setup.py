@@ -13,7 +13,7 @@ from octoprint_moop.core.camera import Camera
 from octoprint_moop.demo.server import DemoServer
 from octoprint_moop.demo.webcam import SnapshotServer
 
-from .stage import OCTOPRINT, log_in, serious_violations
+from .stage import OCTOPRINT, log_in, serious_violations, show_tab
 
 SIZE = (640, 480)
 CORNERS = np.array([[0, 0, 0], [200, 0, 0], [200, 200, 0], [0, 200, 0]], dtype=float)  # of OctoPrint's default profile
@@ -103,7 +103,7 @@ def page(chromium: Any, bare_server: DemoServer) -> Iterator[Any]:
     )
     page.on("pageerror", lambda error: errors.append(str(error)))
     log_in(page, bare_server.url, bare_server.user, bare_server.password)
-    page.click("#tab_plugin_moop_link a")
+    show_tab(page)
     yield page
     context.close()
     assert errors == []

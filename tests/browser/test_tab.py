@@ -30,7 +30,7 @@ def push(page: Any, message: dict[str, Any]) -> None:
 
 def picture(page: Any) -> Any:
     """The canvas's pixels, once the pictures are there."""
-    page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).hasMasks()")
+    page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).view.hasMasks()")
     return page.evaluate("document.getElementById('moop_picture').toDataURL()")
 
 
@@ -79,24 +79,29 @@ def test_the_next_print_begins_with_an_empty_plot(canned: Canned, open_tab: Open
     page = open_tab()
     picture(page)
     push(page, {"type": "check", "check": check(0, file_pos=10)})
-    page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).checks().length === 1")
+    page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).view.checks().length === 1")
     assert text(page, "selected").startswith("Layer 1 ")
 
 
-def test_a_pushed_failure_stays_on_screen_until_it_is_closed(canned: Canned, open_tab: Open) -> None:
-    canned.print_of(check(8))
+def test_a_pushed_failure_stays_on_screen_with_its_pictures_until_it_is_settled(canned: Canned, open_tab: Open) -> None:
+    canned.print_of(check(8), FAILED)
     page = open_tab()
     push(page, {"type": "failed", "check": FAILED, "action": "pause"})
     notice = page.wait_for_selector(".ui-pnotify:has-text('Detached from the bed at layer 10')")
     assert "The print was paused." in notice.inner_text()
+    page.wait_for_selector(".ui-pnotify figure:has-text('Difference') canvas")
     assert page.evaluate("PNotify.notices[PNotify.notices.length - 1].options.hide") is False
+    canned.status.update(action="none", reason="")  # resumed, from wherever
+    push(page, {"type": "status", "status": canned.status})
+    page.wait_for_selector(".ui-pnotify", state="detached")
 
 
-def test_being_blind_names_the_reason_and_offers_the_set_up(canned: Canned, open_tab: Open) -> None:
-    canned.print_of(blind="The webcam does not answer.", watching=False)
+def test_a_failure_that_was_settled_before_it_was_told_is_not_announced(canned: Canned, open_tab: Open) -> None:
+    canned.print_of(check(8), FAILED, action="none", reason="")
     page = open_tab()
-    page.wait_for_selector("text=Nobody is watching this print: The webcam does not answer.")
-    assert page.is_visible("text=Mend this in the set-up")
+    push(page, {"type": "failed", "check": FAILED, "action": "pause"})
+    page.wait_for_timeout(300)
+    assert not page.is_visible(".ui-pnotify")
 
 
 def test_seen_expected_difference_and_plain_are_four_pictures(canned: Canned, open_tab: Open) -> None:
@@ -132,7 +137,7 @@ def test_a_click_on_the_plot_opens_that_layers_picture(canned: Canned, open_tab:
     canned.print_of(*(check(layer) for layer in range(20)))
     page = open_tab()
     picture(page)
-    place = view_model(page, "plot.pointOffset({x: 5, y: 0.4})")
+    place = view_model(page, "view.plot.pointOffset({x: 5, y: 0.4})")
     with page.expect_request("**/checks/4/frame.jpg"):
         page.click("[data-test-id=moop-plot]", position={"x": place["left"], "y": place["top"]})
     page.wait_for_function("document.querySelector('[data-test-id=moop-selected]').innerText.startsWith('Layer 5 ')")
@@ -145,8 +150,8 @@ def test_show_where_zooms_to_what_is_wrong(canned: Canned, open_tab: Open) -> No
     page = open_tab()
     before = picture(page)
     page.click("text=Show where")
-    assert view_model(page, "picture.zoom") > 1.25
-    part = view_model(page, "picture.part()")
+    assert view_model(page, "view.picture.zoom") > 1.25
+    part = view_model(page, "view.picture.part()")
     assert part["x"] < 230 < part["x"] + part["width"] and part["y"] < 120 < part["y"] + part["height"]
     assert picture(page) != before
 
@@ -159,9 +164,9 @@ def test_the_picture_can_be_zoomed_by_keyboard(canned: Canned, open_tab: Open) -
     page.keyboard.press("+")
     page.keyboard.press("+")
     page.keyboard.press("ArrowRight")
-    assert view_model(page, "picture.zoom") > 2
+    assert view_model(page, "view.picture.zoom") > 2
     page.keyboard.press("0")
-    assert view_model(page, "picture.zoom") == 1
+    assert view_model(page, "view.picture.zoom") == 1
 
 
 def test_the_buttons_ask_the_server_for_what_they_say(canned: Canned, open_tab: Open) -> None:

@@ -34,7 +34,7 @@ def moved(mask: np.ndarray, right: int, down: int) -> np.ndarray:
 class Stage:
     """A print in the making. `look` gives the findings of one frame, `good` also learns from it."""
 
-    def __init__(self, reference: bool = True) -> None:
+    def __init__(self, reference: bool = True, textured: bool = False) -> None:
         birth = np.zeros(SHAPE, np.uint32)
         layer_of, owner = np.full(SHAPE, -1, np.int32), np.full(SHAPE, -1, np.int16)
         for layer in range(LAYERS - 1, -1, -1):
@@ -44,12 +44,20 @@ class Stage:
         nearest = np.where(np.arange(SHAPE[1])[None, :] < 160, 0, 1).astype(np.int16) * np.ones(SHAPE, np.int16)
         self.map = PrintMap(layer_of, owner, nearest, 2)
         self._birth, self._rng = birth, np.random.default_rng(3)
-        bed = np.full((*SHAPE, 3), BED_BGR, np.uint8)
-        self.memory = Memory(bed if reference else None, SHAPE)
+        self.bed = np.full((*SHAPE, 3), BED_BGR, np.uint8)
+        if textured:
+            grain = cv2.GaussianBlur(np.random.default_rng(4).normal(0, 60, SHAPE), (0, 0), 2.0)
+            self.bed = np.clip(self.bed + grain[..., None] * 3, 0, 255).astype(np.uint8)
+        self.memory = Memory(self.bed if reference else None, SHAPE)
 
-    def sight(self, layer: int, matter: np.ndarray, gain: float = 1.0, observed: np.ndarray | None = None) -> Sight:
-        """matter : (H, W) bool, what really lies; observed : what segmentation makes of it, the truth unless given."""
-        frame = np.where(matter[..., None], PLASTIC_BGR, BED_BGR) * gain + self._rng.normal(0, 2.0, (*SHAPE, 3))
+    def sight(
+        self, layer: int, matter: np.ndarray, gain: float = 1.0, observed: np.ndarray | None = None,
+        bed_px: tuple[int, int] = (0, 0),
+    ) -> Sight:  # fmt: skip
+        """matter : (H, W) bool, what really lies; observed : what segmentation makes of it, the truth unless given;
+        bed_px : by how much the bed is displaced in the picture."""
+        bed = np.roll(self.bed, (bed_px[1], bed_px[0]), axis=(0, 1))
+        frame = np.where(matter[..., None], PLASTIC_BGR, bed) * gain + self._rng.normal(0, 2.0, (*SHAPE, 3))
         seen = matter if observed is None else observed
         expected = Expected(self._birth, 2 * (layer + 1))
         return Sight(
@@ -63,7 +71,7 @@ class Stage:
     def good(self, layer: int, matter: np.ndarray) -> Findings:
         sight = self.sight(layer, matter)
         found = find(sight, self.memory)
-        self.memory.learn(found.window, found.wanted, sight.frame_bgr, sight.observed, sight.ignored)
+        self.memory.learn(found.window, found.wanted, found.look, found.seen, found.known)
         return found
 
     def printed(self, upto: int) -> Stage:

@@ -35,6 +35,7 @@ def test_a_quarter_turn_is_counter_clockwise_and_comes_after_the_flips():
 def test_what_was_turned_can_be_turned_back(orientation):
     picture = np.random.default_rng(0).integers(0, 255, (6, 9, 3), np.uint8)
     assert np.array_equal(orientation.undo(orientation.apply(picture)), picture)
+    assert np.array_equal(orientation.inverse.apply(picture), orientation.undo(picture))
 
 
 @pytest.mark.parametrize("lens", [name for name in LENSES if name != "14 coefficients"])

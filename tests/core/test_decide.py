@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ LIMIT_PX = int(MATTER_LIMIT_RATIO * TOTAL_PX)
 
 def evidence(lost=0, stray=0, unseen=0, object_id=WHOLE, share=1.0, barren=0, rim=0):
     fresh = tuple((200 * n, int(200 * n * share)) for n in (1, 2, 4, 8))
-    return Evidence(object_id, 9000, TOTAL_PX, 8000, lost, stray, rim, unseen, 900, barren, lost + stray, fresh)
+    return Evidence(object_id, 9000, TOTAL_PX, 8000, lost, stray, 600, rim, unseen, 900, barren, lost + stray, fresh)
 
 
 def after_good(checks=20, track=None, **figures):
@@ -83,6 +85,14 @@ def test_a_share_of_fresh_matter_is_compared_with_its_own_past():
     poor = after_good(share=0.4)
     assert verdicts(poor, evidence(share=0.35)) == [OK]
     assert verdicts(after_good(share=0.95), *[evidence(share=0.3)] * 2)[-1] == FAILED
+
+
+def test_light_along_the_edges_counts_by_their_length():
+    """The same pixels are a shift along short edges and a change of light along long ones."""
+    usual = after_good(rim=10)
+    along = int(0.1 * 5000)
+    assert verdicts(usual, replace(evidence(rim=along), edge_px=5000)) == [OK]
+    assert verdicts(usual, replace(evidence(rim=along), edge_px=600)) == [FAILED]
 
 
 def test_before_there_is_a_past_only_barren_matter_tells_of_a_clog():

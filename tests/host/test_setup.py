@@ -7,12 +7,34 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.gcode.read import read_gcode
+from octoprint_moop.core.view.orientation import Orientation
 
 from .room import HEIGHT, WIDTH, camera, header
 
+BED_TEXTURE = np.random.default_rng(5).integers(0, 255, (50, 50, 3), np.uint8)
+
 
 def show(room, picture: np.ndarray) -> None:
-    room.webcam.shown = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    room.webcam.shown = jpeg(picture)
+
+
+def jpeg(picture: np.ndarray) -> bytes:
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+
+
+def bed_moved_by(shift_mm: np.ndarray) -> np.ndarray:
+    """A bed with a pattern, as the room's camera sees it once it has moved."""
+    corners_mm = np.array([[0, 0, 0], [200, 0, 0], [200, 200, 0], [0, 200, 0]], dtype=float) + shift_mm
+    corners_px = np.float32(camera().project(corners_mm))
+    texture = cv2.resize(BED_TEXTURE, (800, 800), interpolation=cv2.INTER_CUBIC)
+    warp = cv2.getPerspectiveTransform(np.float32([[0, 0], [800, 0], [800, 800], [0, 800]]), corners_px)
+    return cv2.warpPerspective(texture, warp, (WIDTH, HEIGHT), flags=cv2.INTER_AREA, borderValue=(90, 90, 90))
+
+
+def refused(room, path: str, **body) -> str:
+    answer = room.server.request("POST", f"/plugin/moop/{path}", json=body, timeout_s=60)
+    assert answer.status_code == 400, answer.text
+    return answer.json()["message"]
 
 
 def test_the_marker_plate_lies_among_the_files_and_can_be_printed(room):
@@ -86,3 +108,100 @@ def test_a_pose_without_markers_in_view_is_refused_with_a_sentence(room):
 def test_a_checkerboard_to_print_is_a_picture(room):
     answer = room.server.request("GET", "/plugin/moop/calibrate/board.svg?board=9x6&square_mm=20")
     assert answer.status_code == 200 and b"<svg" in answer.content
+
+
+def test_a_calibration_is_kept_named_and_reverted(room):
+    room.set_up()
+    before = room.moop("GET", "calibrations")
+    moved = header()
+    moved["camera"]["tvec_mm"][0] += 1
+    changed = room.moop(
+        "POST", "setup", json={**moved, "name": "Higher", "how": "points", "error_px": {"mean": 1, "max": 3}}
+    )
+    assert changed["changed"] == ["camera"]
+    after = room.moop("GET", "calibrations")
+    newest = after["calibrations"][0]
+    assert len(after["calibrations"]) == len(before["calibrations"]) + 1
+    assert (newest["name"], newest["how"], newest["error_px"]) == ("Higher", "points", {"mean": 1, "max": 3})
+    assert newest["id"] == after["current"] != before["current"] and newest["stale"] == []
+    assert room.moop("POST", "calibrations/revert", json={})["current"] == before["current"]
+    assert room.moop("GET", "setup")["camera"] == header()["camera"]
+    assert (
+        room.moop("POST", f"calibrations/{newest['id']}", json={"name": "Shelf"})["calibrations"][0]["name"] == "Shelf"
+    )
+    assert room.moop("POST", f"calibrations/{newest['id']}/use", json={})["current"] == newest["id"]
+    assert "in use" in room.server.request("DELETE", f"/plugin/moop/calibrations/{newest['id']}").json()["message"]
+    room.moop("POST", "calibrations/revert", json={})
+    left = room.server.api("DELETE", f"/plugin/moop/calibrations/{newest['id']}")
+    assert newest["id"] not in [each["id"] for each in left["calibrations"]]
+    assert "number 999" in refused(room, "calibrations/999/use")
+
+
+def test_what_was_exported_can_be_taken_over_again(room):
+    room.set_up()
+    number = room.moop("GET", "calibrations")["current"]
+    answer = room.server.request("GET", f"/plugin/moop/calibrations/{number}.json")
+    assert "attachment" in answer.headers["Content-Disposition"]
+    exported = answer.json()
+    other = header()
+    other["camera"]["tvec_mm"][2] += 5
+    room.moop("POST", "setup", json=other)
+    assert room.moop("POST", "setup", json={**exported, "name": "From the file"})["changed"] == ["camera"]
+    setup = room.moop("GET", "setup")
+    assert setup["camera"] == header()["camera"] and setup["calibration"]["name"] == "From the file"
+
+
+def test_a_calibration_of_turned_pictures_is_turned_back(room):
+    turned = Orientation(True, True, True).camera(camera())
+    room.moop("POST", "setup", json={
+        **header(), "camera": turned.to_json(), "turned": {"flip_h": True, "flip_v": True, "rotate_90": True},
+    })  # fmt: skip
+    kept = room.moop("GET", "setup")["camera"]
+    assert kept["image_size_px"] == [WIDTH, HEIGHT]
+    assert np.allclose(kept["K"], camera().K) and np.allclose(kept["tvec_mm"], camera().tvec_mm)
+    room.set_up()
+
+
+def test_a_webcam_that_was_flipped_or_resized_since_is_told_as_stale(room):
+    room.set_up()
+    show(room, np.zeros((HEIGHT // 2, WIDTH, 3), np.uint8))
+    room.server.request("GET", "/plugin/moop/frame")
+    try:
+        room.server.api("POST", "/api/settings", json={"plugins": {"classicwebcam": {"flipH": True}}})
+        told = room.moop("GET", "calibrations")
+        assert told["now"] == {
+            "image_size_px": [WIDTH, HEIGHT // 2],
+            "flip_h": True,
+            "flip_v": False,
+            "rotate_90": False,
+        }
+        current = next(each for each in told["calibrations"] if each["id"] == told["current"])
+        assert "another shape" in current["stale"][0] and "flip horizontally" in current["stale"][1]
+        assert room.moop("GET", "setup")["calibration"]["stale"] == current["stale"]
+    finally:
+        room.server.api("POST", "/api/settings", json={"plugins": {"classicwebcam": {"flipH": False}}})
+        room.webcam.shown = b""
+        room.server.request("GET", "/plugin/moop/frame")
+
+
+def test_the_beds_motion_is_measured_but_not_before_it_is_agreed_to(room):
+    room.reconnect()
+    show(room, bed_moved_by(np.zeros(3)))
+    room.moop("POST", "calibrate/points/picture", json={})
+    told = room.moop("GET", "calibrate/bed-motion")
+    assert not told["can"] and "homed" in told["why"]
+    assert "home it" in refused(room, "calibrate/bed-motion", camera=header()["camera"], confirmed=True)
+    room.server.api("POST", "/api/printer/command", json={"commands": ["G28", "G1 X10 Y20 Z10"]})
+    assert "take that picture again" in refused(room, "calibrate/bed-motion", camera=header()["camera"], moved=True)
+    room.moop("POST", "calibrate/points/picture", json={})
+    told = room.moop("GET", "calibrate/bed-motion")
+    assert (
+        told["can"] and told["from_mm"] == {"x": 10, "y": 20, "z": 10} and told["to_mm"] == {"x": 10, "y": 80, "z": 40}
+    )
+    assert "agreed" in refused(room, "calibrate/bed-motion", camera=header()["camera"])
+    show(room, bed_moved_by(np.array([0.0, -60.0, 0.0])))  # where a bed slinger's bed is when Y has gone from 20 to 80
+    found = room.moop(
+        "POST", "calibrate/bed-motion", json={"camera": header()["camera"], "confirmed": True}, timeout_s=90
+    )  # fmt: skip
+    assert found["bed_motion"] == "y" and found["bed_reference_mm"] == {"x": 10, "y": 20, "z": 10}
+    assert room.moop("GET", "calibrate/bed-motion")["from_mm"] == {"x": 10, "y": 20, "z": 10}, "moved back"

@@ -42,7 +42,7 @@ def test_what_is_written_can_be_read(tmp_path):
     assert [moment.layer for moment in recording.moments] == [0, 1, 2]
     (only,) = kept(tmp_path)
     assert only.to_json() == {"name": folder.name, "bytes": only.bytes, "job": "cube.gcode", "checks": 3,
-                              "verdict": "failed", "mode": "detachment", "layer": 2, "ended": "done"}  # fmt: skip
+                              "verdict": "failed", "mode": "detachment", "layer": 2, "ended": "done", "keep": False}  # fmt: skip
 
 
 def test_a_power_cut_in_the_middle_of_a_line_leaves_a_readable_recording(tmp_path):
@@ -60,6 +60,16 @@ def test_the_oldest_go_first_and_failures_last(tmp_path):
     assert {recording.name for recording in kept(tmp_path)} == {folders[0].name, folders[3].name}
     make_room(tmp_path, size + 100)
     assert [recording.name for recording in kept(tmp_path)] == [folders[0].name]
+
+
+def test_a_recording_that_the_user_keeps_is_never_removed(tmp_path):
+    folders = [record(tmp_path, name, ["ok"] * 5) for name in ("one", "two", "three")]
+    recorders.set_keep(folders[0], True)
+    make_room(tmp_path, 0)
+    assert [(recording.name, recording.keep) for recording in kept(tmp_path)] == [(folders[0].name, True)]
+    recorders.set_keep(folders[0], False)
+    make_room(tmp_path, 0)
+    assert kept(tmp_path) == []
 
 
 def test_the_recording_that_is_being_written_is_never_removed(tmp_path):

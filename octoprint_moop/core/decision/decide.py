@@ -24,6 +24,7 @@ DECISIVE = 3.0  # one check this far above its limits needs no second
 CONFIRMED = 2.0  # the same, where a second frame of the same state has shown it too
 MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
 MATTER_LIMIT_PX = 30
+RIM_LIMIT = 0.15  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
 FRESH_CHECKS = 4  # so many good checks before shares are compared; until then only barren matter counts
@@ -92,14 +93,15 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     limit = matter_limit(track, total, sensitivity)
     lost = (evidence.lost_px / total - _usual(track.lost)) / limit
     stray = (evidence.stray_px / total - _usual(track.stray)) / limit
-    faint = _above(track.rim, evidence.rim_px / total)
+    # a pixel's width of light along the edges comes and goes; a shift shows along a good part of them
+    faint = _above(track.rim, evidence.rim_px / total) / max(limit, wide * RIM_LIMIT * evidence.edge_px / total)
     if not track.quiet:
-        faint += _above(track.unseen, evidence.unseen_px / total)
+        faint += _above(track.unseen, evidence.unseen_px / total) / limit
     found = [
         Surprise("lost", lost),
         Surprise("stray", stray),
         Surprise("fresh", 0.0 if track.quiet else max(_barren(track, evidence, limit), *_fresh(track, evidence, wide))),
-        Surprise("all", lost + stray + faint / limit),
+        Surprise("all", lost + stray + faint),
     ]
     return tuple(sorted(found, key=lambda surprise: -surprise.size))
 
@@ -136,9 +138,7 @@ def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
     return found
 
 
-def judge(
-    track: Track, evidence: Evidence, sensitivity: str, decisive: float = DECISIVE
-) -> tuple[Outcome, Track]:
+def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = DECISIVE) -> tuple[Outcome, Track]:
     """The verdict on one scope, and its track with this check's sum; `learn` is for checks that were good.
 
     decisive : the surprise that needs no second check

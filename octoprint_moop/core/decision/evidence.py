@@ -10,28 +10,34 @@ Thresholding a picture errs in ways that a look at the picture itself does not. 
 only where the picture bears them out: what is lost now looks more like the bare bed than like the matter that was seen
 there, and what is stray doesn't look like what that pixel showed without it. A lamp that is dimmed passes neither test.
 
-A calibration that is a pixel or two off shows from the first layer on and stays. `Memory` finds the whole-pixel offset
-that explains most of it and looks for the print there; a band of `tolerance_px` about the expected edges is left out.
+A calibration that is a pixel or two off shows from the first layer on and stays. `Memory` finds the displacement that
+explains it (`align`) and the frame is laid upon the expected mask by it; a band about the expected edges is left out.
+Where all that differs later vanishes once the whole picture is displaced, and the bed does not say that it stood still,
+the camera was moved and not the print.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from ..expected.views import Expected, PrintMap
-from .memory import MOST_MISFIT_PX, Memory
+from . import align
+from .memory import Memory, Window, about, placed, planes, register
 
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 SPECK_PX = 6
 RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the looked-at window's width: how far off the print stray matter may begin
-HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9.0, 0.3
+HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
+ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
+MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
+MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 16.0, 2.5, 12.0  # at up to 640 pixels across
+MOVED_SHARE, MOVED_LEFT, PIECE_PX = 0.55, 0.25, 60
 WHOLE = -1
-
-Window = tuple  # (slice, slice): rows and columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +56,11 @@ class Sight:
     layer: int
     tolerance_px: float
 
+    @cached_property
+    def look(self) -> np.ndarray:
+        """(3, H, W) uint8: the frame as the memory keeps it."""
+        return planes(self.frame_bgr)
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -58,7 +69,7 @@ class Evidence:
     expected_px, total_px : of the expected mask now and of the complete one
     standing_px : established matter that was seen in earlier checks; lost_px : of it, what is seen no more
     stray_px    : matter where none is expected, new since all was well
-    rim_px      : the same within the tolerance band, but not right at the expected edge
+    rim_px      : the same within the tolerance band, but not right at the expected edge, which is edge_px long
     unseen_px   : matter of the last layers that is not seen and looks bare
     deep_px     : well inside what the last layers cover; barren_px : of it, what was never seen
     fresh       : for each of WINDOWS, pixels that its layers newly cover, and how many of them are seen
@@ -70,6 +81,7 @@ class Evidence:
     standing_px: int
     lost_px: int
     stray_px: int
+    edge_px: int
     rim_px: int
     unseen_px: int
     deep_px: int
@@ -88,20 +100,24 @@ class Findings:
 
     All pictures are bool, of the shape of `window`: rows and columns of the expected mask about the print.
 
-    wanted : expected now; seen : observed, moved by the misfit; lost, stray : see the module; unseen : fresh matter of
-    the last layers that is not seen; standing : matter seen in earlier checks; hidden_px : so much of what stood there
-    looks neither like matter nor like the bare bed now
+    wanted : expected now; look : (3, h, w) uint8, the frame aligned, as the memory keeps it; seen, known : observed, and
+    what can be said anything of, aligned; standing : matter seen in earlier checks; lost, stray : see the module;
+    unseen : fresh matter of the last layers that is not seen; hidden_px : so much of what stood there looks neither like
+    matter nor like the bare bed now; moved_px : by how much the whole picture has just moved
     """
 
     window: Window
     wanted: np.ndarray
+    look: np.ndarray
     seen: np.ndarray
+    known: np.ndarray
     standing: np.ndarray
     lost: np.ndarray
     stray: np.ndarray
     unseen: np.ndarray
     hidden_px: int
     scopes: tuple[Evidence, ...]
+    moved_px: float = 0.0
 
     @property
     def whole(self) -> Evidence:
@@ -115,42 +131,106 @@ def find(sight: Sight, memory: Memory) -> Findings:
     few pixels explains at the first layers is no failure of the print.
     """
     window = about_print(sight.expected.complete)
-    memory.settle(window, sight.expected.mask[window] > 0, sight.observed, sight.ignored)
-    there = memory.moved(window)
-    wanted_u8, observed_u8 = sight.expected.mask[window], sight.observed[there]
-    wanted, observed, known = wanted_u8 > 0, observed_u8 > 0, sight.ignored[there] == 0
-    edge = disc(sight.tolerance_px)
+    wanted = sight.expected.mask[window] > 0
+    memory.settle(window, wanted, sight.observed > 0, sight.ignored == 0)
+    findings = _weigh(sight, memory, window)
+    if _out_of_place_px(findings) < MOVED_LEAST_PX:
+        return findings
+    return _moved_camera(sight, memory, findings) or findings
+
+
+def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings | None:
+    """What differs once the whole picture is taken to have moved; None where that is not what has happened.
+
+    A print that slid on the bed leaves the bed where it was. Where the bed is too plain to tell, several pieces do not
+    slide alike; and one that moved by hardly more than the tolerance is given the benefit of the doubt: what is laid
+    next shows whether it was the print.
+    """
+    window, before = findings.window, memory.alignment
+    finer = max(1.0, sight.observed.shape[1] / 640)
+    reach_px = int(MOVED_REACH_PX * finer)
+    found = register(window, findings.wanted, sight.observed > 0, sight.ignored == 0, reach_px)
+    if found is None or found.share < MOVED_SHARE:
+        return None
+    points = np.argwhere(findings.wanted)[::17, ::-1] + [window[1].start, window[0].start]
+    moved_px = float(np.sqrt(np.mean(np.sum((found.alignment.at(points) - before.at(points)) ** 2, axis=1))))
+    if moved_px < 0.5:
+        return None
+    memory.alignment = found.alignment
+    explained = _weigh(sight, memory, window)
+    if _out_of_place_px(explained) < MOVED_LEFT * _out_of_place_px(findings):
+        off_print = cv2.dilate(sight.expected.complete[window], disc(BED_BEGINS_PX * finer)) == 0
+        off_print = off_print & findings.known & explained.known
+        bed_moved = memory.bed_moved(window, findings.look, explained.look, off_print)
+        unsure = moved_px < UNSURE_PX * finer or _pieces(findings.wanted) > 1
+        if bed_moved or (bed_moved is None and unsure):
+            return replace(explained, moved_px=moved_px)
+    memory.alignment = before
+    return None
+
+
+def _out_of_place_px(findings: Findings) -> int:
+    return findings.whole.lost_px + findings.whole.stray_px + findings.whole.rim_px
+
+
+def _pieces(wanted: np.ndarray) -> int:
+    """How many separate things are seen."""
+    joined = cv2.dilate(wanted.astype(np.uint8), disc(2))
+    _, _, stats, _ = cv2.connectedComponentsWithStats(joined)
+    return int(np.count_nonzero(stats[1:, cv2.CC_STAT_AREA] >= PIECE_PX))
+
+
+def _aligned(sight: Sight, alignment: align.Alignment, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The look, observed and ignored where the expected mask has `window`."""
+    if alignment.most_px < ALIGNED_PX:
+        return sight.look[:, window[0], window[1]], sight.observed[window], sight.ignored[window]
+    rows, columns = window
+    size = (columns.stop - columns.start, rows.stop - rows.start)
+    matrix = alignment.inverse_map(columns.start, rows.start)
+    smooth, plain = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    look = np.stack(
+        [cv2.warpAffine(one, matrix, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE) for one in sight.look]
+    )
+    observed = cv2.warpAffine(sight.observed, matrix, size, flags=smooth)
+    ignored = cv2.warpAffine(sight.ignored, matrix, size, flags=plain, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
+    return look, cv2.threshold(observed, 127, 255, cv2.THRESH_BINARY)[1], ignored
+
+
+def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
+    look, observed_u8, ignored = _aligned(sight, memory.alignment, window)
+    wanted_u8 = sight.expected.mask[window]
+    wanted, observed, known = wanted_u8 > 0, observed_u8 > 0, ignored == 0
+    # no narrower than what the print's contours have shown of camera and segmentation
+    edge = disc(min(max(sight.tolerance_px, memory.spread_px + 1.0), 2 * sight.tolerance_px))
     near_wanted = cv2.dilate(wanted_u8, edge) > 0
     near_observed = cv2.dilate(observed_u8, disc(1.5)) > 0
     # a lone line of a bead's width is seen or not as the light falls: only what is wider can be lost
-    wide = cv2.morphologyEx(wanted_u8, cv2.MORPH_OPEN, edge) > 0
-    standing = memory.standing(there) & wide & known
+    wide = cv2.morphologyEx(wanted_u8, cv2.MORPH_OPEN, disc(sight.tolerance_px)) > 0
+    standing = memory.standing(window) & wide & known
     lost = standing & ~near_observed
-    outside = observed & known & ~memory.chronic(there)
+    outside = observed & known & ~memory.chronic(window)
     stray = outside & ~near_wanted
     rim = outside & near_wanted & (cv2.dilate(wanted_u8, disc(RIM_PX)) == 0)
     layer_of = sight.print_map.layer[window]
-    recent = wanted & known & ~memory.given_up(there) & (layer_of > sight.layer - WINDOWS[-1])
-    later = recent & (
-        layer_of > 0
-    )  # the first layer covers so much at once that shares with it say nothing of the next
-    look = cv2.blur(sight.frame_bgr[there], (3, 3))
+    recent = wanted & known & ~memory.given_up(window) & (layer_of > sight.layer - WINDOWS[-1])
+    # the first layer covers so much at once that shares with it say nothing of the next
+    later = recent & (layer_of > 0)
     # segmentation that expects matter may see it in a shadow: what has not changed at all has not come either
-    unchanged = memory.looks_unchanged(there, look, recent & observed)
+    unchanged = memory.looks_unchanged(window, look, recent & observed)
     deep = recent & (cv2.erode(wanted_u8, edge) > 0)
-    barren = unchanged | memory.looks_bare(there, look, deep & ~near_observed & ~memory.ever_seen(there))
+    barren = unchanged | memory.looks_bare(window, look, deep & ~near_observed & ~memory.ever_seen(window))
     barren &= deep
-    unseen = (unchanged & later) | memory.looks_bare(there, look, later & ~observed)
-    stray = near_to(wanted_u8, without_specks(memory.looks_new(there, look, stray)), REACH_RATIO * wanted.shape[1])
-    hidden_px = _hidden_px(memory, there, look, lost, stray, known & ~observed & ~near_wanted)
-    lost = without_specks(memory.looks_bare(there, look, lost))
-    rim = memory.looks_new(there, look, rim)
+    unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~observed)
+    stray = near_to(wanted_u8, without_specks(memory.looks_new(window, look, stray)), REACH_RATIO * wanted.shape[1])
+    hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
+    lost = without_specks(memory.looks_bare(window, look, lost))
+    rim = memory.looks_new(window, look, rim)
     scopes = _count(sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren)
-    return Findings(window, wanted, observed, standing, lost, stray, unseen, hidden_px, scopes)
+    return Findings(window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, scopes)
 
 
 def _hidden_px(
-    memory: Memory, there: Window, look: np.ndarray, gone: np.ndarray, stray: np.ndarray, bed: np.ndarray
+    memory: Memory, window: Window, look: np.ndarray, gone: np.ndarray, stray: np.ndarray, bed: np.ndarray
 ) -> int:
     """How much of the matter that is seen no more has probably only been hidden.
 
@@ -161,10 +241,10 @@ def _hidden_px(
     if gone_px < HIDING_PX or np.count_nonzero(stray) > 0.15 * gone_px:
         return 0
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
-    changed = memory.looks_new(there, look, about, HIDING_CHANGE, unknown=False)
+    changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)
     if np.count_nonzero(changed) > min(HIDING_RATIO * np.count_nonzero(about), gone_px):
         return int(gone_px)
-    return int(np.count_nonzero(memory.looks_strange(there, look, gone)))
+    return int(np.count_nonzero(memory.looks_strange(window, look, gone)))
 
 
 def _count(
@@ -174,25 +254,28 @@ def _count(
 ) -> tuple[Evidence, ...]:  # fmt: skip
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
-    own = _Counter(print_map.owner[window], len(scopes))
-    near = _Counter(print_map.nearest[window], len(scopes))
-    age = sight.layer - print_map.layer[window]
+    complete = sight.expected.complete[window] > 0
+    extra = observed & ~wanted & known
+    own = _Counter(print_map.owner[window], len(scopes), complete)
+    near = _Counter(print_map.nearest[window], len(scopes), extra | stray | rim)
     figures = {
         "expected_px": own(wanted & known),
-        "total_px": own((sight.expected.complete[window] > 0) & known),
+        "total_px": own(complete & known),
         "standing_px": own(standing),
         "lost_px": own(lost),
         "stray_px": near(stray),
+        "edge_px": own(wanted & (cv2.erode(wanted.view(np.uint8), np.ones((3, 3), np.uint8)) == 0)),
         "rim_px": near(rim),
         "unseen_px": own(unseen),
         "deep_px": own(deep),
         "barren_px": own(barren),
-        "xor_px": own(wanted & ~observed & known) + near(observed & ~wanted & known),
+        "xor_px": own(wanted & ~observed & known) + near(extra),
     }
     fresh = []
+    seen, age = ~unseen, sight.layer - print_map.layer[window]
     for layers in WINDOWS:
         new = later & (age < layers)
-        fresh.append((own(new), own(new & ~unseen)))
+        fresh.append((own(new), own(new & seen)))
     return tuple(
         Evidence(
             scope,
@@ -206,39 +289,50 @@ def _count(
 class _Counter:
     """Counts a mask's pixels for the whole print and, by whose pixels they are, for each object: (scopes,) int64."""
 
-    def __init__(self, owner: np.ndarray, scopes: int) -> None:
-        self._owner, self._scopes = owner, scopes
+    def __init__(self, owner: np.ndarray, scopes: int, within: np.ndarray) -> None:
+        """within : bool; no mask reaches beyond its pixels' rows and columns"""
+        self._few, self._scopes = about(within), scopes
+        self._owner = (owner[self._few] + 1).astype(np.uint16)
 
     def __call__(self, mask: np.ndarray) -> np.ndarray:
+        mask = mask[self._few]
         counts = np.zeros(self._scopes, np.int64)
         counts[0] = np.count_nonzero(mask)
         if self._scopes > 1 and counts[0]:
-            owners = self._owner[mask]
-            counts[1:] = np.bincount(owners[owners >= 0], minlength=self._scopes - 1)[: self._scopes - 1]
+            by_owner = cv2.calcHist([self._owner], [0], mask.view(np.uint8), [self._scopes], [0, self._scopes])
+            counts[1:] = by_owner.ravel()[1:]
         return counts
 
 
 def about_print(complete: np.ndarray) -> Window:
-    """Rows and columns about the complete print, half its size around, that the misfit cannot push out of the picture."""
+    """Rows and columns about the complete print, half its size around."""
     height, width = complete.shape
     x, y, w, h = cv2.boundingRect(complete)
     margin = max(w, h) // 2 + 24
-    rim = MOST_MISFIT_PX
-    return (
-        slice(max(y - margin, rim), max(min(y + h + margin, height - rim), rim + 1)),
-        slice(max(x - margin, rim), max(min(x + w + margin, width - rim), rim + 1)),
-    )
+    return slice(max(y - margin, 0), min(y + h + margin, height)), slice(max(x - margin, 0), min(x + w + margin, width))
 
 
 def near_to(wanted: np.ndarray, mask: np.ndarray, reach_px: float) -> np.ndarray:
     """The mask's spots that come as near to the expected mask (uint8): what has to do with the print begins at it."""
     if not mask.any() or not wanted.any():
         return mask
-    near = cv2.distanceTransform(cv2.bitwise_not(wanted), cv2.DIST_L2, 3) < reach_px
-    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    keep = np.zeros(labels.max() + 1, bool)
-    keep[labels[near & mask]] = True
-    return keep[labels] & mask
+    few = about(mask)
+    labels, areas_px = _spots(mask[few])
+    begins = np.bincount(labels[_within(wanted, reach_px)[few] & mask[few]], minlength=len(areas_px)) > 0
+    return placed(mask, few, begins[labels])
+
+
+def _within(wanted: np.ndarray, reach_px: float) -> np.ndarray:
+    """bool: pixels so near to a mask (uint8), to about 4 px: the distance is measured at a quarter of the size."""
+    coarse = cv2.dilate(wanted, np.ones((4, 4), np.uint8))[::4, ::4]
+    near = cv2.distanceTransform(cv2.bitwise_not(coarse), cv2.DIST_L2, 3) < reach_px / 4
+    return cv2.resize(near.view(np.uint8), wanted.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+
+
+def _spots(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The number of each pixel's spot, 0 outside of the mask (bool), and the spots' areas."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(mask).view(np.uint8), connectivity=8)
+    return labels, stats[:, cv2.CC_STAT_AREA]
 
 
 def disc(radius_px: float) -> np.ndarray:
@@ -252,7 +346,6 @@ def without_specks(mask: np.ndarray, least_px: int = SPECK_PX) -> np.ndarray:
     """The mask without spots of fewer pixels: noise comes in specks, strands do not."""
     if np.count_nonzero(mask) < least_px:
         return np.zeros_like(mask)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= least_px
-    keep[0] = False
-    return keep[labels]
+    few = about(mask)
+    labels, areas_px = _spots(mask[few])
+    return placed(mask, few, (areas_px >= least_px)[labels])

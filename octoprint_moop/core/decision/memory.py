@@ -2,134 +2,142 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
-MOST_MISFIT_PX = 6  # a calibration further off than this must be done again, not explained away
+from . import align
+from .align import Alignment
+
 SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from then on it only creeps,
-CREEPING_CHECKS = 12  # by a pixel in so many, as a print grows out of the height at which it was found
+CREEPING_CHECKS, CREEP_PX = 4, 0.3  # by so little in so many, as a print grows out of the height at which it was found
+SETTLING_REACH_PX = 6
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
-LEAST_GAIN = 0.02  # of the expected pixels, by a pixel of misfit
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
-UNCHANGED = 8.0  # the same within which a pixel looks as it did
-CHANGED = 18.0  # grey levels in any channel by which a pixel looks unlike another time
+UNCHANGED = 8  # the same within which a pixel looks as it did
+BED_LEAST_PX, BED_CLEARLY = 60, 0.8
+CHANGED = 18  # grey levels in any channel by which a pixel looks unlike another time
 
 Window = tuple  # (slice, slice): rows and columns
+
+
+def planes(picture_bgr: np.ndarray) -> np.ndarray:
+    """(3, H, W) uint8: blue, green and red of a picture (H, W, 3), smoothed. OpenCV is quickest with one channel at a time."""
+    smoothed = np.empty((3, *picture_bgr.shape[:2]), np.uint8)
+    for plane, channel in zip(smoothed, cv2.split(picture_bgr)):
+        cv2.blur(channel, (3, 3), dst=plane)
+    return smoothed
 
 
 class Memory:
     """Fading means over the good checks of one view: whether a pixel was matter, and how it looked with and without.
 
-    Windows are rows and columns of the observed frame: those of the expected mask, `moved` by the misfit.
+    Windows are rows and columns of the expected mask; frames are laid upon it by `alignment` and cut to the window before
+    they come in here. A `look` is what such a frame shows, as `planes` gives it.
     """
 
     def __init__(self, reference_bgr: np.ndarray | None, shape: tuple[int, int]) -> None:
         """`reference_bgr`: (H, W, 3) uint8, the bare bed in this pose; None where there is no picture of it."""
         self._matter = np.zeros(shape, np.float32)
-        self._covered = np.zeros((*shape, 3), np.float32)
-        self._bare = np.zeros((*shape, 3), np.float32)
+        self._covered = np.zeros((3, *shape), np.uint8)
+        self._bare = np.zeros_like(self._covered) if reference_bgr is None else planes(reference_bgr)
         self._has_covered = np.zeros(shape, bool)
         self._has_bare = np.full(shape, reference_bgr is not None)
-        if reference_bgr is not None:
-            self._bare[:] = cv2.blur(reference_bgr, (3, 3))
         self._given_up = np.zeros(shape, bool)
-        self._checks = 0
-        self.misfit_px = (0, 0)
+        self._checks = self._crept = 0
+        self.alignment = Alignment()
+        self.spread_px = 0.0
+        """How far most contours of the print still lay from their edges, halo included, when last it was aligned."""
 
-    def moved(self, window: Window) -> Window:
-        """Where the frame shows what the expected mask has in `window`."""
-        right, down = self.misfit_px
-        rows, columns = window
-        return slice(rows.start + down, rows.stop + down), slice(columns.start + right, columns.stop + right)
-
-    def standing(self, there: Window) -> np.ndarray:
+    def standing(self, window: Window) -> np.ndarray:
         """bool: pixels that have mostly been seen as matter; none before the first good check."""
-        return self._matter[there] > STANDING
+        return self._matter[window] > STANDING
 
-    def chronic(self, there: Window) -> np.ndarray:
+    def chronic(self, window: Window) -> np.ndarray:
         """bool: pixels that look like matter, or have been accepted as such, while all is well."""
-        return self._matter[there] > CHRONIC
+        return self._matter[window] > CHRONIC
 
-    def ever_seen(self, there: Window) -> np.ndarray:
+    def ever_seen(self, window: Window) -> np.ndarray:
         """bool: pixels that were matter in some good check, or of which the user said that none need come."""
-        return self._has_covered[there] | self._given_up[there]
+        return self._has_covered[window] | self._given_up[window]
 
-    def looks_bare(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+    def looks_bare(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those of which the picture bears out that nothing lies there.
 
-        look : (h, w, 3) uint8, blurred like what is kept. Where the bare bed's look is known, it must be much more like
-        that than like the matter seen there; where no matter was seen yet, like the bare bed; where only matter was
-        seen, unlike it.
+        Where the bare bed's look is known, it must be much more like that than like the matter seen there; where no
+        matter was seen yet, like the bare bed; where only matter was seen, unlike it.
         """
-        now = look[where].astype(np.float32)
-        from_bare, from_covered = _apart(now, self._bare[there][where]), _apart(now, self._covered[there][where])
-        has_bare, has_covered = self._has_bare[there][where], self._has_covered[there][where]
-        like_bare = np.where(has_covered, from_bare < MUCH_NEARER * from_covered, from_bare < CHANGED)
-        return _placed(where, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
+        few = about(where)
+        has_bare, has_covered = self._has_bare[window][few], self._has_covered[window][few]
+        from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
+        nearer = from_bare < np.float32(MUCH_NEARER) * from_covered
+        like_bare = np.where(has_covered, nearer, from_bare < CHANGED)
+        return placed(where, few, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
 
-    def looks_unchanged(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+    def looks_unchanged(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look just as they did without matter, which was never seen there."""
-        still = _apart(look[where].astype(np.float32), self._bare[there][where]) < UNCHANGED
-        return _placed(where, still & self._has_bare[there][where] & ~self._has_covered[there][where])
+        few = about(where)
+        still = self._has_bare[window][few] & ~self._has_covered[window][few]
+        return placed(where, few, still & (_apart(look, self._bare, window, few) < UNCHANGED))
 
-    def looks_strange(self, there: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+    def looks_strange(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
-        now = look[where].astype(np.float32)
-        from_bare, from_covered = _apart(now, self._bare[there][where]), _apart(now, self._covered[there][where])
-        known = self._has_bare[there][where] & self._has_covered[there][where]
-        return _placed(where, known & (from_bare > 2 * CHANGED) & (from_covered > 2 * CHANGED))
+        few = about(where)
+        known = self._has_bare[window][few] & self._has_covered[window][few]
+        from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
+        return placed(where, few, known & (cv2.min(from_bare, from_covered) > 2 * CHANGED))
 
     def looks_new(
-        self, there: Window, look: np.ndarray, where: np.ndarray, change: float = CHANGED, unknown: bool = True
+        self, window: Window, look: np.ndarray, where: np.ndarray, change: int = CHANGED, unknown: bool = True
     ) -> np.ndarray:
         """bool: of the pixels `where`, those of which the picture bears out that something lies there that did not.
 
         change : grey levels in any channel that make a difference; unknown : what to say where the bare bed's look is not known
         """
-        apart = _apart(look[where].astype(np.float32), self._bare[there][where])
-        return _placed(where, np.where(self._has_bare[there][where], apart > change, unknown))
+        few = about(where)
+        new = _apart(look, self._bare, window, few) > change
+        has_bare = self._has_bare[window][few]
+        return placed(where, few, new | ~has_bare if unknown else new & has_bare)
 
     def learn(
-        self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray, ignored: np.ndarray
+        self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray, known: np.ndarray
     ) -> None:
-        """Take in a good check.
-
-        window, wanted : of the expected mask, bool; frame_bgr, observed, ignored : the whole frame and its masks, uint8
-        """
+        """Take in a good check. wanted, observed, known : bool"""
         self._checks += 1
-        if self._checks % CREEPING_CHECKS == 0:
-            self._creep(window, wanted, observed, ignored)
-        there = self.moved(window)
-        seen, sure = observed[there] > 0, ignored[there] == 0
-        look = cv2.blur(frame_bgr[there], (3, 3))
-        seen &= ~self.looks_unchanged(there, look, seen)
-        matter, fresh = self._matter[there], wanted & seen & sure & ~self._has_covered[there]
+        seen = observed & ~self.looks_unchanged(window, look, observed)
+        matter, fresh = self._matter[window], wanted & seen & known & ~self._has_covered[window]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
-        cv2.accumulateWeighted(seen.astype(np.float32), matter, weight, sure.astype(np.uint8))
+        cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, known.view(np.uint8))
         matter[fresh] = 1.0
         for kept, has, where in (
-            (self._covered[there], self._has_covered[there], seen & sure),
-            (self._bare[there], self._has_bare[there], ~seen & ~wanted & sure),
+            (self._covered, self._has_covered[window], seen & known),
+            (self._bare, self._has_bare[window], ~seen & ~wanted & known),
         ):
-            first = where & ~has
-            kept[first] = look[first]
-            cv2.accumulateWeighted(look, kept, LOOK_NEWEST, where.astype(np.uint8))
+            few = about(where)
+            first, mask = (where & ~has)[few].view(np.uint8), np.ascontiguousarray(where[few]).view(np.uint8)
+            for plane, now in zip(kept, look):
+                plane, now = plane[window][few], now[few]
+                cv2.copyTo(now, first, plane)
+                cv2.copyTo(cv2.addWeighted(now, LOOK_NEWEST, plane, 1 - LOOK_NEWEST, 0), mask, plane)
             has |= where
 
-    def accept(self, window: Window, wanted: np.ndarray, frame_bgr: np.ndarray, observed: np.ndarray) -> None:
+    def accept(self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray) -> None:
         """The user goes on with the print as it is: from now on this is how it looks, and what is missing is given up."""
-        there = self.moved(window)
-        seen, look = observed[there] > 0, cv2.blur(frame_bgr[there], (3, 3))
-        self._matter[there] = seen
-        self._covered[there][seen], self._has_covered[there][seen] = look[seen], True
-        self._bare[there][~seen], self._has_bare[there][~seen] = look[~seen], True
-        self._given_up[there] |= wanted & ~seen
+        self._matter[window] = observed
+        for plane in range(3):
+            self._covered[plane][window][observed] = look[plane][observed]
+            self._bare[plane][window][~observed] = look[plane][~observed]
+        self._has_covered[window] |= observed
+        self._has_bare[window] |= ~observed
+        self._given_up[window] |= wanted & ~observed
 
-    def given_up(self, there: Window) -> np.ndarray:
+    def given_up(self, window: Window) -> np.ndarray:
         """bool: matter that was missing when the user went on."""
-        return self._given_up[there]
+        return self._given_up[window]
 
     def carried(self, matrix: np.ndarray) -> None:
         """The bed has moved: what a pixel showed is now seen elsewhere. matrix: (3, 3), new pixels from old ones."""
@@ -138,54 +146,94 @@ class Memory:
         def warp(picture: np.ndarray) -> np.ndarray:
             return cv2.warpPerspective(picture, matrix, size, flags=cv2.INTER_LINEAR)
 
-        self._matter, self._covered, self._bare = warp(self._matter), warp(self._covered), warp(self._bare)
+        self._matter = warp(self._matter)
+        for kept in (self._covered, self._bare):
+            kept[:] = [warp(plane) for plane in kept]
         for name in ("_has_covered", "_has_bare", "_given_up"):
             setattr(self, name, warp(getattr(self, name).astype(np.uint8)) > 0)
 
-    def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
-        """Before the first good checks: find the misfit anew, as far off as may be."""
-        if self._checks >= SETTLING_CHECKS or not wanted.any():
-            return
-        rows, columns = window
-        reach = MOST_MISFIT_PX
-        around = slice(rows.start - reach, rows.stop + reach), slice(columns.start - reach, columns.stop + reach)
-        pays = np.where(observed[around] > 0, np.float32(1), np.float32(-1))
-        pays[ignored[around] > 0] = 0
-        score = cv2.matchTemplate(pays, wanted.astype(np.float32), cv2.TM_CCORR)
-        down, right = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-        # of offsets that explain about as much, the smallest
-        score -= LEAST_GAIN * np.count_nonzero(wanted) * np.hypot(right, down)
-        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-        self.misfit_px = (int(column) - reach, int(row) - reach)
+    def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray) -> None:
+        """Before the first good checks: find the misfit anew, as far off as may be; later, now and then, a little of it.
 
-    def _creep(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
-        """A pixel towards the offset at which the expected mask agrees better, where that explains much."""
-        here = self._disagreement(self.misfit_px, window, wanted, observed, ignored)
-        best, at = 0.9 * here - 20, self.misfit_px
-        for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            offset = (self.misfit_px[0] + step[0], self.misfit_px[1] + step[1])
-            if max(abs(offset[0]), abs(offset[1])) <= MOST_MISFIT_PX:
-                there = self._disagreement(offset, window, wanted, observed, ignored)
-                if there < best:
-                    best, at = there, offset
-        self.misfit_px = at
+        window, wanted : of the expected mask, bool; observed, known : the whole picture's, bool
+        """
+        if self._checks < SETTLING_CHECKS:
+            found = register(window, wanted, observed, known, SETTLING_REACH_PX)
+            if found is not None:
+                self.alignment = found.alignment.within(align.MOST_PX)
+                self.spread_px = _spread(found)
+        elif self._checks % CREEPING_CHECKS == 0 and self._crept != self._checks:
+            self._crept = self._checks
+            top, left = window[0].start, window[1].start
+            fitted = align.fit(wanted, left, top, observed, known, self.alignment)
+            if fitted is not None:
+                self.alignment = self.alignment.towards(fitted.alignment, CREEP_PX)
 
-    @staticmethod
-    def _disagreement(
-        offset: tuple[int, int], window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray
-    ) -> int:
-        right, down = offset
-        rows, columns = window
-        there = slice(rows.start + down, rows.stop + down), slice(columns.start + right, columns.stop + right)
-        return int(np.count_nonzero((wanted != (observed[there] > 0)) & (ignored[there] == 0)))
+    def bed_moved(self, window: Window, still: np.ndarray, moved: np.ndarray, off_print: np.ndarray) -> bool | None:
+        """Whether the bed agrees that the picture has moved; None where it shows too little to tell.
+
+        still, moved : looks of the frame as it was aligned and as it would have to be
+        off_print    : (h, w) bool, where nothing of the print is, nor its shadow
+        """
+        everything = (slice(None), slice(None))
+        told = off_print & self._has_bare[window] & (_most_apart(list(still), list(moved)) > CHANGED // 2)
+        if np.count_nonzero(told) < BED_LEAST_PX:
+            return None
+        apart_still, apart_moved = (
+            float(_apart(look, self._bare, window, everything)[told].mean()) for look in (still, moved)
+        )
+        if min(apart_still, apart_moved) > BED_CLEARLY * max(apart_still, apart_moved):
+            return None
+        return apart_moved < apart_still
 
 
-def _apart(look: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(n,) largest difference in any channel of two (n, 3)."""
-    return np.abs(look - other).max(axis=1)
+def register(
+    window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray, reach_px: int
+) -> align.Fit | None:
+    """Where in the picture the print is, looked for as far as `reach_px` away; None where too little of it is seen."""
+    if not wanted.any():
+        return None
+    rows, columns = window
+    rim = ((max(reach_px - rows.start, 0), max(rows.stop + reach_px - observed.shape[0], 0)),
+           (max(reach_px - columns.start, 0), max(columns.stop + reach_px - observed.shape[1], 0)))  # fmt: skip
+    around = (
+        slice(max(rows.start - reach_px, 0), rows.stop + reach_px),
+        slice(max(columns.start - reach_px, 0), columns.stop + reach_px),
+    )
+    seen, sure = (np.pad(mask[around], rim, constant_values=False) for mask in (observed, known))
+    start = align.about(wanted, columns.start, rows.start)
+    offset = align.coarse(wanted, seen, sure, reach_px)
+    start = replace(start, offset_px=(float(offset[0]), float(offset[1])))
+    found = align.fit(wanted, columns.start, rows.start, observed, known, start)
+    return found or align.Fit(start, 0.0, np.zeros(0), 0.0)
 
 
-def _placed(where: np.ndarray, values: np.ndarray) -> np.ndarray:
-    placed = np.zeros(where.shape, bool)
-    placed[where] = values
-    return placed
+def _spread(found: align.Fit) -> float:
+    """Within how many pixels most contours lie."""
+    if not len(found.residual_px):
+        return 0.0
+    return float(np.percentile(np.abs(found.residual_px), 90)) + max(found.halo_px, 0.0)
+
+
+def about(where: np.ndarray) -> Window:
+    """The rows and columns that hold all pixels of a bool mask, one at least; beyond, nothing needs to be worked out."""
+    x, y, w, h = cv2.boundingRect(where.view(np.uint8))
+    return slice(y, y + max(h, 1)), slice(x, x + max(w, 1))
+
+
+def _apart(look: np.ndarray, kept: np.ndarray, window: Window, few: Window) -> np.ndarray:
+    """uint8, for the `few` rows and columns of the window: the largest difference in any channel."""
+    return _most_apart([now[few] for now in look], [then[window][few] for then in kept])
+
+
+def _most_apart(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> np.ndarray:
+    """uint8: the largest difference in any of the three channels."""
+    blue, green, red = (cv2.absdiff(now, then) for now, then in zip(one, other))
+    return cv2.max(cv2.max(blue, green), red)
+
+
+def placed(where: np.ndarray, few: Window, values: np.ndarray) -> np.ndarray:
+    """bool, of the shape of `where`: of its pixels, those of which the bool `values` of the `few` rows and columns say so."""
+    whole = np.zeros(where.shape, bool)
+    np.logical_and(values, where[few], out=whole[few])
+    return whole

@@ -13,6 +13,7 @@ from .weigh import Look, weigh
 _BAND_PX = 2000.0  # how many pixels the user's thresholds count for: soon outweighed by what is really seen
 _MEMORY_PX = 200_000.0  # counts are scaled down beyond this, so that the colours follow the light of the day
 _CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
+_FRINGE = 10.0
 _INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
 
 
@@ -83,9 +84,10 @@ class AdaptiveSegmenter:
             known = np.zeros_like(self._background) if self._filament is None else self._filament
             self._filament = _remember(known, count_colours(colours, lies))
         around = background & _inside(_region(expected, filament.shape), filament.shape)
-        # the few pixels beside the print count as much as all others: that is where the two must be told apart
+        # the few pixels beside the print count up to tenfold: that is where the two must be told apart. More would give
+        # every mixed pixel to the background and the print would be seen too thin
         fringe, rest = count_colours(colours, beside), count_colours(colours, around)
-        fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), 50.0)
+        fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), _FRINGE)
         self._background = _remember(self._background, fringe + rest)
         self._model = None
         if not self._bed_moves:

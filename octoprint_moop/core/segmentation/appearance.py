@@ -15,27 +15,28 @@ import numpy as np
 _BITS = 5  # of each channel: 32 x 32 x 32 cells of colour
 _CELLS = 1 << (3 * _BITS)
 _CELL_VOLUME = float((256 >> _BITS) ** 3)
-_STRETCH = 2.0  # filaments and beds differ in a and b by a tenth of what they differ in L
+_STRETCH = 1.5  # filaments and beds differ in their chroma by a tenth of what they differ in brightness
 _FLOOR = 1e-8  # density of a colour never seen: neither filament nor background is favoured
 
-# How far an unchanged pixel wanders in stretched Lab (noise, JPEG blocks, shading), and how often it is unchanged
-_STAY_SIGMA = 14.0
+# How far an unchanged pixel wanders in opponent colours (noise, JPEG blocks, shading), and how often it is unchanged
+_STAY_SIGMA = 10.0
 _STAY_SHARE = 0.5
 EVIDENCE_MAX = 4.0  # one pixel never says more than 55 : 1, since its neighbours repeat it
 
 
-def _stretch_table() -> np.ndarray:
-    level = np.arange(256, dtype=np.float64)
-    chroma = np.clip((level - 128) * _STRETCH + 128, 0, 255)
-    return np.stack([level, chroma, chroma], axis=-1).round().astype(np.uint8)[None]
-
-
-_STRETCH_TABLE = _stretch_table()
+# ITU-R BT.601, as in a JPEG's own Y, Cb, Cr: rows of (blue, green, red, 1)
+_OPPONENT = np.array(
+    [
+        [0.114, 0.587, 0.299, 0],
+        [0.5 * _STRETCH, -0.331264 * _STRETCH, -0.168736 * _STRETCH, 128],
+        [-0.081312 * _STRETCH, -0.418688 * _STRETCH, 0.5 * _STRETCH, 128],
+    ]
+)
 
 
 def opponent(frame_bgr: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8: CIE L, and a and b about 128 stretched by two."""
-    return cv2.LUT(cv2.cvtColor(frame_bgr, cv2.COLOR_BGR2Lab), _STRETCH_TABLE)
+    """(H, W, 3) uint8: brightness, and blue and red chroma about 128 stretched by one and a half."""
+    return cv2.transform(frame_bgr, _OPPONENT)
 
 
 def _cells(colours: np.ndarray) -> np.ndarray:
@@ -62,10 +63,9 @@ def count_colours(colours: np.ndarray, where: np.ndarray) -> np.ndarray:
 def every_colour() -> np.ndarray:
     """(1, 32768, 3) uint8 BGR: the colour in the middle of each cell, in the order of the counts."""
     side, width = 1 << _BITS, 256 >> _BITS
-    grid = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(1, -1, 3)
-    lab = (grid * width + width // 2).astype(np.float64)
-    lab[..., 1:] = (lab[..., 1:] - 128) / _STRETCH + 128
-    return cv2.cvtColor(np.clip(lab, 0, 255).astype(np.uint8), cv2.COLOR_Lab2BGR)
+    middles = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1) * width + width // 2
+    bgr = (middles - _OPPONENT[:, 3]) @ np.linalg.inv(_OPPONENT[:, :3]).T
+    return np.clip(bgr.round(), 0, 255).astype(np.uint8).reshape(1, -1, 3)
 
 
 @dataclass(frozen=True, eq=False)

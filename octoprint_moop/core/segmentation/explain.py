@@ -1,11 +1,13 @@
 """Which simple story about the expected mask the picture tells: as expected, moved, or unfinished.
 
 An expected mask is right or wrong as a whole far more often than pixel by pixel. Its pixels together tell what none of
-them can tell alone: 10000 weak pixels see a part that slid by 5 mm on a bed of its own colour.
+them can tell alone: 10000 weak pixels see a part that slid by 5 mm on a bed of its own colour. And where it ends, the
+picture should have a border: black before black still has an edge that catches the light.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +18,8 @@ _SIDE_PX = 48  # the search looks at the expected mask shrunk to about this size
 _REACH_X, _REACH_Y = 0.35, 0.1  # of its size: how far a part is looked for
 _CUT_MAX = 0.6  # of its height: more than this missing is not told from a picture that shows something else
 _CLIP = 3.0  # of the evidence, so that a lamp in the background does not outweigh the print
+_BORDER_SLOPE = 4.0
+_BORDER_WEIGHT = 1.2  # of the mean over the outline, against the mean evidence over the area
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,76 +38,152 @@ class Explanation:
     missing_px: int = 0
 
 
-def _moved(mask: np.ndarray, x_px: int, y_px: int) -> np.ndarray:
-    shift = np.array([[1, 0, x_px], [0, 1, y_px]], np.float32)
-    return cv2.warpAffine(mask, shift, (mask.shape[1], mask.shape[0]), flags=cv2.INTER_NEAREST)
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """What the search looks at, small: (h, w) the expected mask's box, the pictures larger by its reach all around.
+
+    shape, outline : (h, w) float32, 0..1 and 0 or 1
+    evidence       : log-odds of filament
+    border, ledge  : log-odds that an outline, or its top, runs here
+    """
+
+    shape: np.ndarray
+    outline: np.ndarray
+    evidence: np.ndarray
+    border: np.ndarray
+    ledge: np.ndarray
+    near: int
+
+    @property
+    def reach(self) -> tuple[int, int]:
+        """(rows, columns)"""
+        height, width = self.shape.shape
+        return (self.evidence.shape[0] - height) // 2, (self.evidence.shape[1] - width) // 2
+
+    def moves(self) -> np.ndarray:
+        """Score of the mask moved to each place within reach."""
+        inside = cv2.matchTemplate(self.evidence, self.shape, cv2.TM_CCORR) / self.shape.sum()
+        along = cv2.matchTemplate(self.border, self.outline, cv2.TM_CCORR) / self.outline.sum()
+        return inside + _BORDER_WEIGHT * along
+
+    def cut(self, row: int, column: int) -> tuple[float, int]:
+        """The best gain of taking rows away from the top of the mask that lies at (row, column), and how many."""
+        height, width = self.shape.shape
+        most = int(_CUT_MAX * height)
+        if most <= self.near + 1:
+            return 0.0, 0
+        here = np.s_[row : row + height, column : column + width]
+        solid = self.shape > 0.5
+        lost = np.cumsum((self.evidence[here] * self.shape).sum(axis=1)) / self.shape.sum()
+        above = np.cumsum((self.border[here] * self.outline).sum(axis=1))
+        above_px = np.cumsum(self.outline.sum(axis=1))
+        along, along_px = above[-1] - above[:-1], above_px[-1] - above_px[:-1]
+        tops = np.where(solid, self.ledge[here], 0).sum(axis=1)[1:]
+        border = (along + tops) / np.maximum(along_px + solid[1:].sum(axis=1), 1) - above[-1] / above_px[-1]
+        gains = (_BORDER_WEIGHT * border - lost[:-1])[self.near : most - 1]
+        best = int(gains.argmax())
+        return float(gains[best]), best + self.near + 1
 
 
-def _cut(gains: np.ndarray, tolerance: int) -> tuple[float, int]:
-    """The best gain, and the rows to take away for it, more than the tolerance and no more than _CUT_MAX of all."""
-    most = int(_CUT_MAX * len(gains))
-    if most <= tolerance:
-        return 0.0, 0
-    rows = int(gains[tolerance:most].argmax()) + tolerance
-    return float(gains[rows]), rows + 1
+def _border_odds(strength: np.ndarray) -> np.ndarray:
+    """(H, W) float32: log-odds that an outline runs through a pixel, by its rank in strength among the pixels here.
+
+    Along outlines of real prints the density of ranks r in 0..1 grows about as exp(4 r), in front of any background;
+    the strength itself differs by camera, light and colour.
+    """
+    ranks = np.cumsum(np.bincount(strength.ravel(), minlength=256)) / strength.size
+    density = np.log(_BORDER_SLOPE / math.expm1(_BORDER_SLOPE)) + _BORDER_SLOPE * ranks
+    return cv2.LUT(strength, density.astype(np.float32))
 
 
-def explain(evidence: np.ndarray, expected: np.ndarray) -> Explanation:
+def _strength(colours: np.ndarray, size: tuple[int, int], step: int) -> tuple[np.ndarray, np.ndarray]:
+    """How much the colour changes across each pixel, uint8, in any direction and upwards; the strongest about each
+    pixel of the smaller picture."""
+    across = []
+    for kernel in (np.ones((1, 3), np.uint8), np.ones((3, 1), np.uint8)):
+        change = cv2.subtract(cv2.dilate(colours, kernel), cv2.erode(colours, kernel))
+        across.append(cv2.transform(change, np.ones((1, 3), np.float32)))
+    side = 2 * (step // 2) + 3
+    pictures = (cv2.max(*across), across[1])
+    wide = (cv2.dilate(picture, np.ones((side, side), np.uint8)) for picture in pictures)
+    strongest, upwards = (cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST) for picture in wide)
+    return strongest, upwards
+
+
+def _look(
+    evidence: np.ndarray, expected: np.ndarray, colours: np.ndarray, box: tuple[int, int, int, int], step: int
+) -> _Field:
+    """box : (x, y, w, h) of the expected mask, each a multiple of the step but for the picture's end"""
+    x, y, w, h = box
+    size = (math.ceil(w / step), math.ceil(h / step))
+    shape = cv2.resize(expected[y : y + h, x : x + w], size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+    solid = cv2.copyMakeBorder((shape > 0.5).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    outline = (solid - cv2.erode(solid, np.ones((3, 3), np.uint8)))[1:-1, 1:-1].astype(np.float32)
+    near = math.ceil(_NEAR_PX / step)
+    reach_x, reach_y = (
+        max(math.ceil(share * length), near + 1) for share, length in zip((_REACH_X, _REACH_Y), size)
+    )  # fmt: skip
+    left, top = x - reach_x * step, y - reach_y * step
+    wide = (size[0] + 2 * reach_x, size[1] + 2 * reach_y)
+    right, bottom = left + wide[0] * step, top + wide[1] * step
+    height, width = expected.shape
+    beyond = (max(-top, 0), max(bottom - height, 0), max(-left, 0), max(right - width, 0))
+
+    def around(picture: np.ndarray) -> np.ndarray:
+        part = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+        return cv2.copyMakeBorder(part, *beyond, cv2.BORDER_REPLICATE) if any(beyond) else part
+
+    small = cv2.resize(np.clip(around(evidence), -_CLIP, _CLIP), wide, interpolation=cv2.INTER_AREA)
+    border, ledge = (_border_odds(picture) for picture in _strength(around(colours), wide, step))
+    return _Field(shape, outline, small, border, ledge, near)
+
+
+def explain(evidence: np.ndarray, expected: np.ndarray, colours: np.ndarray) -> Explanation:
     """The story with the most evidence for it: as expected, moved, unfinished, or moved and unfinished.
 
     evidence : (H, W) float32, log likelihood ratios of filament
     expected : (H, W) uint8, 0 or 255
+    colours  : (H, W, 3) uint8, the picture, its borders
     Any story but "as expected" must earn more than a few pixels of luck would give it.
     """
     area_px = cv2.countNonZero(expected)
     if not area_px:
         return Explanation(expected, 0.0)
-    height, width = evidence.shape
-    _, _, box_w, box_h = cv2.boundingRect(expected)
-    step = max(1, int(np.sqrt(box_w * box_h) / _SIDE_PX))
-    size = (max(width // step, 1), max(height // step, 1))
-    small = cv2.resize(np.clip(evidence, -_CLIP, _CLIP), size, interpolation=cv2.INTER_AREA)
-    shape = cv2.resize(expected, size, interpolation=cv2.INTER_AREA)
-    x, y, w, h = cv2.boundingRect(shape)
-    shape = shape[y : y + h, x : x + w].astype(np.float32) / 255
-    area = max(float(shape.sum()), 1e-6)
-    near = int(np.ceil(_NEAR_PX / step))
-    reach_x, reach_y = max(int(np.ceil(_REACH_X * w)), near + 1), max(int(np.ceil(_REACH_Y * h)), near + 1)
-    field = cv2.copyMakeBorder(small, reach_y, reach_y, reach_x, reach_x, cv2.BORDER_REPLICATE)
-    field = field[y : y + h + 2 * reach_y, x : x + w + 2 * reach_x]
-    scores = cv2.matchTemplate(field, shape, cv2.TM_CCORR) / area
+    x, y, w, h = cv2.boundingRect(expected)
+    step = max(1, int(np.sqrt(w * h) / _SIDE_PX))
+    top, left = y // step * step, x // step * step
+    field = _look(evidence, expected, colours, (left, top, x + w - left, y + h - top), step)
+    reach_y, reach_x = field.reach
+    scores = field.moves()
 
     def best(allowed: np.ndarray) -> tuple[float, int, int]:
         row, column = np.unravel_index(np.where(allowed, scores, -np.inf).argmax(), scores.shape)
         return float(scores[row, column]), int(row), int(column)
 
-    def missing(row: int, column: int) -> tuple[float, int]:
-        lost = (field[row : row + h, column : column + w] * shape).sum(axis=1) / area
-        return _cut(-np.cumsum(lost), near)
-
     rows, columns = np.ogrid[: scores.shape[0], : scores.shape[1]]
-    close = (abs(rows - reach_y) <= near) & (abs(columns - reach_x) <= near)
+    close = (abs(rows - reach_y) <= field.near) & (abs(columns - reach_x) <= field.near)
     there, row, column = best(close)
     away, far_row, far_column = best(~close)
     # What luck gives falls with the number of independent pixels
     price_move, price_cut = 0.01 + 6 / np.sqrt(area_px), 0.01 + 2 / np.sqrt(area_px)
     stories = [(there, 0, 0, 0)]
-    gain, cut = missing(row, column)
+    gain, cut = field.cut(row, column)
     if gain > price_cut:
         stories.append((there + gain - price_cut, 0, 0, cut))
     if away - there > price_move:
         move = (far_column - reach_x, far_row - reach_y)
         stories.append((away - price_move, *move, 0))
-        gain, cut = missing(far_row, far_column)
+        gain, cut = field.cut(far_row, far_column)
         if gain > price_cut:
             stories.append((away + gain - price_move - price_cut, *move, cut))
     _, move_x, move_y, cut = max(stories)
     mask = expected
     if cut:
         mask = mask.copy()
-        mask[: (y + cut) * step] = 0
+        mask[: top + cut * step] = 0
     if move_x or move_y:
-        mask = _moved(mask, move_x * step, move_y * step)
+        shift = np.array([[1, 0, move_x * step], [0, 1, move_y * step]], np.float32)
+        mask = cv2.warpAffine(mask, shift, mask.shape[::-1], flags=cv2.INTER_NEAREST)
     inside = evidence[mask > 0]
     support = float(np.clip(inside, -_CLIP, _CLIP).mean()) if inside.size else 0.0
     return Explanation(mask, support, (move_x * step, move_y * step), cut * step)

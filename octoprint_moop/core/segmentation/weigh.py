@@ -189,7 +189,7 @@ def weigh(
             odds += np.where(label, rows, np.minimum(rows, 0))
     else:
         mask = _mask_at_work_size(expected, look.step)
-        story = explain(seen + look.underneath, mask)
+        story = explain(seen + look.underneath, mask, colours)
         if story.support < _WRONG_LOOK:
             own, contrast = _own_colours(colours, mask)
             # what looks like everything around it is not there
@@ -197,7 +197,7 @@ def weigh(
             mixed = (1 - 0.75 * trust) * seen + 1.5 * own
             # the bed that is seen unchanged stays the bed
             seen = mixed if look.plate is None else np.where(look.plate.known < 0, seen, mixed)
-            story = explain(seen, mask)
+            story = explain(seen, mask, colours)
             odds = seen + trust * _expected_odds(story.mask)
         else:
             odds = seen + 0.3 * look.place + _expected_odds(story.mask)

@@ -1,7 +1,8 @@
 """OctoPrint's webcam settings flipH, flipV and rotate90: how a snapshot is turned before people see it.
 
-MOOP compares snapshots as the camera sends them, so these settings change no mask. They matter where a picture is shown
-in the page, and where a camera was calibrated with pictures that had been turned.
+One convention: every picture, mask, click and calibration is in the pixels of the snapshot as the camera sends it.
+OctoPrint never turns snapshots (its timelapse does so when it renders), so these settings change no mask. They matter
+where a calibration comes from pictures that had been turned, such as screenshots of a page: `inverse.camera` mends it.
 """
 
 from __future__ import annotations
@@ -38,6 +39,13 @@ class Orientation:
         if self.flip_v:
             picture = picture[::-1]
         return np.ascontiguousarray(picture[:, ::-1] if self.flip_h else picture)
+
+    @property
+    def inverse(self) -> Orientation:
+        """What turns a picture back: undo(p) == inverse.apply(p)."""
+        if not self.rotate_90:
+            return self
+        return Orientation(not self.flip_v, not self.flip_h, True)
 
     def camera(self, camera: Camera) -> Camera:
         """The camera that would send these pictures as OctoPrint shows them.

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from ..camera import BedMotion, Camera
+from ..decision.evidence import about_print
 from ..decision.memory import Memory
 from ..errors import FrameError
 from ..expected.hardware import HeadModel
@@ -22,6 +23,7 @@ from .usable import refuse_unusable
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
+MOST_HIDDEN_RATIO = 0.005  # of the print's surroundings, by the head in the picture of the empty bed
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +76,13 @@ class View:
     def __init__(
         self, camera: Camera, printer: Printer, toolpath: Toolpath, renderer: MaskRenderer,
         material: HsvThresholds | None, segmentation: str, reference_bgr: np.ndarray | None,
-        head: HeadModel | None = None,
+        head: HeadModel | None = None, reference_mm: tuple[float, float, float] | None = None,
     ) -> None:  # fmt: skip
+        """reference_mm : where the machine stood when the reference was taken; None for the bed's reference position"""
         self._camera, self._printer, self._toolpath = camera, printer, toolpath
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
         self._bare_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
+        self._bare_position_mm = printer.bed.reference_mm if reference_mm is None else reference_mm
         self._material, self._segmentation = material, segmentation
         self._previous_bgr: np.ndarray | None = None
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
@@ -86,12 +90,27 @@ class View:
         self._backdrop: Backdrop | None = None
         self._segmenter: Segmenter
         self._memory: Memory | None = None
-        self._memory_position_mm = printer.bed.reference_mm
+        self._memory_position_mm = self._bare_position_mm
+
+    def take_reference(self, frame_bgr: np.ndarray, moment: Moment) -> bool:
+        """Take this picture, of the bed before anything lies on it, for the reference; before the first frame only.
+
+        Answers whether it is. Where the head hides too much of the print's place and of what is around, it would be taken
+        for what the bed looks like there. Raises FrameError where the picture cannot be used.
+        """
+        frame_bgr = fit_frame(frame_bgr, self._camera)
+        refuse_unusable(frame_bgr, None)
+        expected = self._expected.at(moment.file_pos, moment.position_mm, parked=moment.parked)
+        head = expected.head[about_print(expected.complete)]
+        if cv2.countNonZero(head) > MOST_HIDDEN_RATIO * head.size or self._backdrop is not None:
+            return False
+        self._bare_bgr, self._bare_position_mm = frame_bgr, moment.position_mm
+        return True
 
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
         return self._expected.at(
-            moment.file_pos, moment.position_mm, before, self._cancelled(moment), moment.sure_pos, moment.parked
+            moment.file_pos, moment.position_mm, before, self._cancelled(moment), parked=moment.parked
         )
 
     def print_map(self, moment: Moment) -> PrintMap:
@@ -108,7 +127,7 @@ class View:
         if self._memory is None:
             self._memory = Memory(self._bare_bgr, self._camera.image_size_px[::-1])
             self._memory_position_mm = (
-                self._printer.bed.reference_mm if self._bare_bgr is not None else moment.position_mm
+                self._bare_position_mm if self._bare_bgr is not None else moment.position_mm
             )
         here, before = self._expected.pose(moment.position_mm), self._expected.pose(self._memory_position_mm)
         if here != before:
@@ -169,7 +188,7 @@ class View:
             if self._bare_bgr is None:
                 reference_bgr, position_mm = frame_bgr, moment.position_mm
             else:
-                reference_bgr, position_mm = self._bare_bgr, self._printer.bed.reference_mm
+                reference_bgr, position_mm = self._bare_bgr, self._bare_position_mm
             self._backdrop = Backdrop(self._camera, self._printer, reference_bgr, position_mm, exclude)
             self._backdrop.follow(moment.position_mm, exclude)
             self._segmenter = self._choose_segmenter(moment, self._backdrop)
@@ -197,10 +216,14 @@ class View:
             self._turn = turn
             return ""
         self._pending = turn
-        return (
-            f"The camera was moved: the picture has shifted by about {turn.motion_px:.0f} px. "
-            "The view is looked for again; calibrate the camera before the next print."
-        )
+        return moved_sentence(turn.motion_px)
+
+
+def moved_sentence(motion_px: float) -> str:
+    return (
+        f"The camera was moved: the picture has shifted by about {motion_px:.0f} px. "
+        "The view is looked for again; calibrate the camera before the next print."
+    )
 
 
 def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:

@@ -41,6 +41,11 @@
         return this.address("checks", checkId, PICTURES[kind]);
     };
 
+    /* Addresses of all pictures of a check, by kind. */
+    MoopClient.prototype.pictureUrls = function (checkId) {
+        return _.mapValues(PICTURES, function (_file, kind) { return this.pictureUrl(checkId, kind); }.bind(this));
+    };
+
     MoopClient.prototype.checkNow = function (opts) {
         return this.base.postJson(this.route("check"), {}, opts);
     };
@@ -75,6 +80,11 @@
     /* {checks, summary}: what would have happened with these settings (by name; others as they are). */
     MoopClient.prototype.replay = function (name, settings, opts) {
         return this.base.postJson(this.route("recordings", name, "replay"), settings, opts);
+    };
+
+    /* {done, of}: how many of its pictures the replay that runs has looked at. */
+    MoopClient.prototype.replayProgress = function (name, opts) {
+        return this.base.get(this.route("recordings", name, "replay"), opts);
     };
 
     // --- the set-up ---------------------------------------------------------------------------------------------
@@ -168,8 +178,19 @@
         return this.base.get(this.route("recordings"), opts);
     };
 
-    MoopClient.prototype.recordingUrl = function (name) {
-        return this.address("recordings", name + ".zip");
+    /* Address of a recording as a ZIP file, with its pictures or without. */
+    MoopClient.prototype.recordingUrl = function (name, pictures) {
+        return this.address("recordings", name + ".zip") + (pictures ? "" : "?pictures=0");
+    };
+
+    /* Address of a small picture of how that print ended. */
+    MoopClient.prototype.thumbnailUrl = function (name) {
+        return this.address("recordings", name, "thumbnail.jpg");
+    };
+
+    /* Never removed to make room, or like the others again. */
+    MoopClient.prototype.keepRecording = function (name, keep, opts) {
+        return this.base.postJson(this.route("recordings", name, "keep"), {keep: keep}, opts);
     };
 
     MoopClient.prototype.deleteRecording = function (name, opts) {

@@ -28,6 +28,15 @@
         return mask;
     }
 
+    /* A canvas that holds these RGBA pixels. */
+    function layerOf(rgba, width, height) {
+        const layer = document.createElement("canvas");
+        layer.width = width;
+        layer.height = height;
+        layer.getContext("2d").putImageData(new ImageData(rgba, width, height), 0, 0);
+        return layer;
+    }
+
     /*
      * options.onPick({x, y}): a click at this point of the picture, in its pixels; options.onDraw(context, toScreen)
      * draws on top, toScreen({x, y}) giving canvas pixels.
@@ -121,11 +130,7 @@
 
     /* Lays RGBA pixels of the picture's own size over it. */
     Picture.prototype.setOverlay = function (rgba, width, height) {
-        const layer = document.createElement("canvas");
-        layer.width = width;
-        layer.height = height;
-        layer.getContext("2d").putImageData(new ImageData(rgba, width, height), 0, 0);
-        this.overlay = layer;
+        this.overlay = layerOf(rgba, width, height);
     };
 
     Picture.prototype.part = function () {
@@ -313,5 +318,28 @@
         });
     };
 
-    window.MOOP = Object.assign(window.MOOP || {}, {Picture: Picture});
+    /*
+     * Small canvases of a check, one for each way in `shows`, `width` pixels wide; a promise, rejected where a picture
+     * is missing.
+     */
+    function composePictures(addresses, shows, width) {
+        return $.when(load(addresses.frame), load(addresses.seen), load(addresses.expected), load(addresses.ignored))
+            .then(function (frame, seen, expected, ignored) {
+                const full = {width: frame.naturalWidth, height: frame.naturalHeight};
+                const masks = [expected, seen, ignored].map(function (image) { return maskOf(image, full.width, full.height); });
+                return shows.map(function (show) {
+                    const classes = MOOP.overlay.classify(masks[0], masks[1], masks[2], show);
+                    const canvas = document.createElement("canvas");
+                    canvas.width = width;
+                    canvas.height = Math.round(width * full.height / full.width);
+                    const context = canvas.getContext("2d");
+                    const layer = layerOf(MOOP.overlay.paint(classes, full.width, full.height), full.width, full.height);
+                    context.drawImage(frame, 0, 0, canvas.width, canvas.height);
+                    context.drawImage(layer, 0, 0, canvas.width, canvas.height);
+                    return canvas;
+                });
+            });
+    }
+
+    window.MOOP = Object.assign(window.MOOP || {}, {Picture: Picture, composePictures: composePictures});
 })();

@@ -13,6 +13,8 @@ $(function () {
         self.settings = parameters[2];
         self.printerState = parameters[3];
 
+        self.moopSetup = true; // by which the tab knows it
+        self.openings = 0;
         self.step = ko.observable("camera");
         self.header = ko.observable({});
         self.trouble = ko.observable("");
@@ -142,10 +144,17 @@ $(function () {
 
         self.step.subscribe(function () { setTimeout(self.opened, 0); }); // the step's own part must be on screen first
 
+        /* Shows the step that has been reached; of several wishes in a row, only the last is granted. */
         self.opened = function () {
-            if (!self.visible() || !self.mayCalibrate()) {
-                return;
-            }
+            const own = ++self.openings;
+            $.when(self.loading).always(function () {
+                if (own === self.openings && self.visible() && self.mayCalibrate()) {
+                    self.showStep();
+                }
+            });
+        };
+
+        self.showStep = function () {
             const name = self.step();
             if (name === "filament") {
                 self.filament.open();
@@ -325,7 +334,8 @@ $(function () {
             });
             self.filament.bind(document.getElementById("moop_setup_filament"));
             $('#moop_pages a[href="#moop_setup_page"]').on("shown", function () {
-                self.load().always(function () { self.lens.load(); self.opened(); });
+                self.loading = self.load().always(self.lens.load);
+                self.opened();
             });
         };
     }

@@ -200,10 +200,48 @@
         };
     }
 
+    /* A check in one line: layer, E, what was concluded, what it cost. */
+    function checkLine(check) {
+        return joined([
+            say("Layer %(layer)s", {layer: layerNumber(check.layer)}),
+            say("E %(error)s", {error: percent(check.E)}),
+            check.verdict === "failed" ? mode(check) : verdict(check),
+            check.held_s ? say("took %(held)s s", {held: check.held_s.toFixed(1)}) : ""
+        ]);
+    }
+
+    /* What looking has cost this print so far; "" before the first check. */
+    function timeAdded(status) {
+        if (!status || !status.checks || !status.held_s) {
+            return "";
+        }
+        return say("Looking has added %(total)s to this print so far: %(each)s s a look.", {
+            total: duration(status.held_s),
+            each: (status.held_s / status.checks).toFixed(1)
+        });
+    }
+
+    /* The plot of E in words, for those who do not see it. */
+    function plotSummary(checks) {
+        const count = function (name) {
+            return checks.filter(function (check) { return check.verdict === name; }).length;
+        };
+        return say("E by layer: %(n)s checks, %(suspect)s suspect, %(failed)s failed, %(unusable)s unusable", {
+            n: checks.length,
+            suspect: count("suspect"),
+            failed: count("failed"),
+            unusable: count("unusable")
+        });
+    }
+
     /* The time that a recording's name begins with, as people write it; "" where it has none. */
     function recordingTime(name) {
         const found = /^(\d{4})-?(\d\d)-?(\d\d)[-_T]?(\d\d)-?(\d\d)/.exec(name);
         return found ? found[1] + "-" + found[2] + "-" + found[3] + " " + found[4] + ":" + found[5] : "";
+    }
+
+    function megabytes(bytes) {
+        return say("%(mb)s MB", {mb: Math.max(1, Math.round(bytes / 1e6))});
     }
 
     /* How a recorded print went, from its entry in the list. */
@@ -264,7 +302,11 @@
         state: state,
         sinceLayer: sinceLayer,
         failure: failure,
+        checkLine: checkLine,
+        timeAdded: timeAdded,
+        plotSummary: plotSummary,
         recordingTime: recordingTime,
+        megabytes: megabytes,
         pastVerdict: pastVerdict,
         replayed: replayed,
         refusal: refusal

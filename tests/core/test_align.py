@@ -1,0 +1,105 @@
+"""Silhouettes drawn twice, the second time displaced by what is known: is it found again?"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from octoprint_moop.core.decision import align
+
+SHAPE = (200, 260)
+MIDDLE, FINE = np.array([130.0, 100.0]), 16
+PARTS = (
+    [(60, 60), (110, 52), (118, 120), (66, 132)],
+    [(140, 70), (200, 80), (190, 95), (165, 92), (160, 140), (138, 136)],
+)
+
+
+def drawn(offset=(0.0, 0.0), turn_deg=0.0, scale=1.0, parts=PARTS) -> np.ndarray:
+    """(H, W) bool: the parts, their corners turned and scaled about MIDDLE and offset, to a sixteenth of a pixel."""
+    angle = np.radians(turn_deg)
+    matrix = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    picture = np.zeros(SHAPE, np.uint8)
+    for part in parts:
+        corners = (np.array(part, float) - MIDDLE) @ matrix.T + MIDDLE + offset
+        cv2.fillPoly(picture, [np.round(corners * FINE).astype(np.int32)], 255, cv2.LINE_AA, 4)
+    return picture > 127
+
+
+def fitted(observed: np.ndarray, known: np.ndarray | None = None, start=(0.0, 0.0), wanted=None) -> align.Fit | None:
+    wanted = drawn() if wanted is None else wanted
+    begin = align.Alignment(start, middle_px=tuple(MIDDLE), reach_px=75.0)
+    return align.fit(wanted, 0, 0, observed, np.ones(SHAPE, bool) if known is None else known, begin)
+
+
+CORNERS = np.array([corner for part in PARTS for corner in part], float)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.5, -0.3), (2.4, 1.7), (-3.0, 0.0)])
+def test_an_offset_is_found_to_the_fraction_of_a_pixel_that_masks_can_hold(offset):
+    found = fitted(drawn(offset)).alignment
+    assert found.at(CORNERS) == pytest.approx(np.tile(offset, (len(CORNERS), 1)), abs=0.4)
+    assert found.offset_px == pytest.approx(offset, abs=0.35)
+
+
+@pytest.mark.parametrize(("turn_deg", "scale"), [(1.0, 1.0), (0.0, 1.02), (-0.8, 0.985)])
+def test_a_turn_and_a_change_of_scale_are_found(turn_deg, scale):
+    angle = np.radians(turn_deg)
+    matrix = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    truth = (CORNERS - MIDDLE) @ matrix.T + MIDDLE - CORNERS
+    assert fitted(drawn(turn_deg=turn_deg, scale=scale)).alignment.at(CORNERS) == pytest.approx(truth, abs=0.35)
+
+
+def test_a_halo_all_around_moves_nothing_and_is_told():
+    wide = cv2.dilate(drawn((1.0, 0.0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    found = fitted(wide)
+    assert found.alignment.offset_px == pytest.approx((1.0, 0.0), abs=0.1)
+    assert found.halo_px == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_part_that_has_come_off_does_not_draw_the_rest_along():
+    away = drawn((1.5, 0.0), parts=PARTS[:1]) | drawn((14.0, 9.0), parts=PARTS[1:])
+    wanted = drawn() | drawn((0.0, 40.0), parts=PARTS[:1])
+    away |= drawn((1.5, 40.0), parts=PARTS[:1])
+    found = fitted(away, wanted=wanted)
+    assert found.alignment.at(CORNERS[:4]) == pytest.approx(np.tile((1.5, 0.0), (4, 1)), abs=0.5)
+
+
+def test_contours_that_are_hidden_have_no_say():
+    known = np.ones(SHAPE, bool)
+    known[:, 130:] = False
+    seen = drawn((2.0, -1.0), parts=PARTS[:1])  # of the hidden part nothing is seen
+    found = fitted(seen, known=known)
+    assert found is None or found.alignment.offset_px == pytest.approx((2.0, -1.0), abs=0.3)
+
+
+def test_where_nothing_is_seen_nothing_is_said():
+    assert fitted(np.zeros(SHAPE, bool)) is None
+    assert fitted(drawn(), wanted=np.zeros(SHAPE, bool)) is None
+
+
+def test_the_coarse_search_finds_whole_pixels_and_prefers_none_where_it_cannot_tell():
+    wanted = drawn()[20:180, 20:240]
+    known = np.ones(SHAPE, bool)
+    for offset in ((0, 0), (7, -4), (-12, 15)):
+        assert align.coarse(wanted, drawn(offset), known, 20) == offset
+    assert align.coarse(wanted, drawn((7, -4)), ~known, 20) == (0, 0)
+
+
+def test_laying_a_picture_upon_the_expected_mask_takes_the_displacement_out():
+    found = align.Alignment((3.0, -2.0), (0.0, -1.3, 1.3, 0.0), tuple(MIDDLE), 75.0)  # a turn of one degree
+    matrix = found.inverse_map(20, 10)
+    aligned = cv2.warpAffine(
+        drawn((3.0, -2.0), turn_deg=1.0).astype(np.uint8) * 255, matrix, (200, 150),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+    )  # fmt: skip
+    assert np.count_nonzero((aligned > 127) != drawn()[10:160, 20:220]) < 0.02 * np.count_nonzero(drawn())
+
+
+def test_a_step_towards_another_alignment_is_no_longer_than_allowed():
+    here = align.Alignment(middle_px=(1, 1), reach_px=10.0)
+    there = align.Alignment((3.0, 4.0), (0.0, 0.0, 0.0, 0.0), (1, 1), 10.0)
+    assert here.towards(there, 0.5).offset_px == pytest.approx((0.3, 0.4))
+    assert here.towards(there, 50.0).offset_px == pytest.approx((3.0, 4.0))
+    assert there.within(1.0).most_px == pytest.approx(1.0) and there.within(6.0) == there
