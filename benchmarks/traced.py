@@ -247,8 +247,8 @@ def make(seed: int, out: Path, frames_limit: int = 36, every: int = 1) -> Path:
     count = min(beads.layers, frames_limit)
     fault, object_id = None, None
     if plan.fault:
-        onset = 1 if plan.fault == "spaghetti_first_layer" else int(rng.integers(5, max(6, min(count - 8, 18))))
-        count = min(count, onset + 13)
+        onset = 1 if plan.fault == "spaghetti_first_layer" else int(rng.integers(5, max(6, min(count - 8, 14))))
+        count = min(count, onset + 11)
         if len(beads.objects) > 1 and not plan.fault.startswith(("layer_shift", "extrusion", "under")):
             alive = [k for k in range(len(beads.objects)) if beads.layer[beads.object_id == k].max() >= onset + 3]
             object_id = int(rng.choice(alive))
@@ -290,7 +290,7 @@ def make(seed: int, out: Path, frames_limit: int = 36, every: int = 1) -> Path:
     save(sensor.develop(rgb, -1), "reference.jpg")
     lines, truths, totals, time_s, material = [], [], {}, 40.0, None
     lengths = np.linalg.norm(np.diff(beads.ends_mm, axis=1)[:, 0], axis=1)
-    previous = None
+    previous, scene_before = None, None
     for number in range(every - 1, count, every):
         last = beads.layer_end(number)
         time_s += float(lengths[beads.layer == number].sum()) / 45 + 4
@@ -304,6 +304,11 @@ def make(seed: int, out: Path, frames_limit: int = 36, every: int = 1) -> Path:
         key, ambient = trouble.lamps(number)
         matter = growth.actual(number)
         hand = (low + high) / 2 * [1, 1, 0] + [0, 0, z] if number in trouble.hand else None
+        scene_now = (at_eye is eye, key, hand is None, tuple(look.shift_mm(position)), plan.parked)
+        window = None
+        if plan.parked and scene_now == scene_before and number % 5:  # what stands still need not be traced anew
+            window = studio.window(matter, position, at_eye)
+        scene_before = scene_now
         rgb, seen = studio.picture(
             matter,
             position,
@@ -313,6 +318,7 @@ def make(seed: int, out: Path, frames_limit: int = 36, every: int = 1) -> Path:
             key=key,
             ambient=ambient,
             hand_mm=hand,
+            window=window,
         )
         mask = studio.mask(matter, position, at_eye)
         clean = mask

@@ -19,9 +19,8 @@ from benchmarks.traced_surfaces import FILAMENTS, Look, bed_surface, coated, fil
 T = mi.ScalarTransform4f
 
 
-def smoothed(rgb: np.ndarray) -> np.ndarray:
+def smoothed(rgb: np.ndarray, level: float) -> np.ndarray:
     """Less of the tracer's own grain, edges kept: filtered where the eye is even, on a curve."""
-    level = float(np.percentile(rgb, 99)) + 1e-9
     curve = np.sqrt(rgb / level).astype(np.float32)
     ring = np.ones((3, 3), np.uint8)
     ring[1, 1] = 0
@@ -91,7 +90,7 @@ class Studio:
 
     look: Look
     eye: Eye
-    samples: int = 9
+    samples: int = 12
     _fixed: dict = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -333,8 +332,10 @@ class Studio:
         return mi.RayDifferential3f(mi.Point3f(*(mi.Float(float(c)) for c in eye.centre_mm)), dr.normalize(way))
 
     def picture(self, matter: Matter | None, position_mm: tuple, nozzle_mm: np.ndarray, seed: int, *, eye: Eye | None = None,
-                key: float = 1.0, ambient: float = 1.0, hand_mm: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """(H, W, 3) float32 linear RGB, and (H, W) bool: where matter is seen, nothing standing before it."""
+                key: float = 1.0, ambient: float = 1.0, hand_mm: np.ndarray | None = None,
+        window: tuple[slice, slice] | None = None) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """(H, W, 3) float32 linear RGB, and (H, W) bool: where matter is seen, nothing standing before it.
+        With a window only that part is traced, and the rest is the picture before."""
         eye = eye or self.eye
         shift = self.look.shift_mm(position_mm)
         things = {
@@ -354,18 +355,39 @@ class Studio:
         clear = FILAMENTS[self.look.filament][1] == "clear"
         tracer = mi.load_dict({"type": "path", "max_depth": 8 if clear else 3, "rr_depth": 8})
         sampler = mi.load_dict({"type": "multijitter", "sample_count": self.samples})
-        sampler.seed(seed, width * height * self.samples)
-        pixel = dr.arange(mi.UInt32, width * height * self.samples) // self.samples
+        numbers = np.arange(width * height, dtype=np.uint32).reshape(height, width)
+        if window is not None:
+            numbers = numbers[window]
+        sampler.seed(seed, numbers.size * self.samples)
+        ordinal = dr.arange(mi.UInt32, numbers.size * self.samples) // self.samples
+        pixel = dr.gather(mi.UInt32, mi.UInt32(numbers.ravel()), ordinal)
         jitter = sampler.next_2d()
         spectrum, _, _ = tracer.sample(scene, sampler, self._rays(eye, jitter.x, jitter.y, pixel))
-        linear_rgb = np.array(spectrum).reshape(3, height, width, self.samples)
-        level = np.percentile(linear_rgb[1, ::4, ::4], 98) * 1.7
-        linear_rgb = smoothed(np.minimum(linear_rgb, level).mean(axis=3).transpose(1, 2, 0))
+        linear_rgb = np.array(spectrum).reshape(3, *numbers.shape, self.samples)
+        if window is None:
+            self._level = np.percentile(linear_rgb[1, ::4, ::4], 98) * 1.7
+        linear_rgb = smoothed(np.minimum(linear_rgb, self._level).mean(axis=3).transpose(1, 2, 0), self._level)
+        if window is not None:
+            whole = self._latest.copy()
+            whole[window] = linear_rgb
+            linear_rgb = whole
+        self._latest = linear_rgb
         seen = np.zeros((height, width), bool)
         if mesh is not None:
             hit = scene.ray_intersect_preliminary(self._centres(eye))
             seen = np.array(hit.shape == mi.ShapePtr(mesh)).reshape(height, width)
         return linear_rgb.astype(np.float32), seen
+
+    def window(self, matter: Matter, position_mm: tuple, eye: Eye, margin_px: int = 36) -> tuple[slice, slice]:
+        """The part of the picture in which this matter and most of its shadow lie."""
+        used = matter.vertices_mm[np.unique(matter.triangles)[::7]] + self.look.shift_mm(position_mm)
+        at = (used @ eye.rotation.T + eye.tvec_mm).astype(np.float64)
+        pixels = cv2.projectPoints(at[at[:, 2] > 1], np.zeros(3), np.zeros(3), eye.K, eye.distortion)[0][:, 0]
+        (x0, y0), (x1, y1) = np.percentile(pixels, [0.3, 99.7], axis=0).astype(int)
+        x, y = (
+            np.clip([a - margin_px, b + margin_px], 0, n) for a, b, n in ((x0, x1, eye.size[0]), (y0, y1, eye.size[1]))
+        )
+        return slice(int(y[0]), int(y[1])), slice(int(x[0]), int(x[1]))
 
     def _centres(self, eye: Eye) -> object:
         pixel = dr.arange(mi.UInt32, eye.size[0] * eye.size[1])

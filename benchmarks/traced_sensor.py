@@ -35,7 +35,7 @@ class Sensor:
         self._balance = (mean.mean() / mean) ** 0.6 * (1 + self._warm)
         self.gain = 0.25 / float(np.mean(np.minimum(empty.mean(axis=2), np.percentile(empty, 97))))
         if matter.any():
-            self.gain = min(self.gain, 0.95 / float(np.percentile((complete * self._balance)[matter].max(axis=1), 96)))
+            self.gain = min(self.gain, 0.85 / float(np.percentile((complete * self._balance)[matter].max(axis=1), 96)))
 
     def develop(self, rgb: np.ndarray, number: int, *, exposure: float = 1.0, warmth: float = 0.0) -> np.ndarray:
         """(H, W, 3) uint8 BGR."""
