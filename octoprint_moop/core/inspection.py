@@ -193,7 +193,7 @@ class Inspector:
         expected = view.expected(moment)
         seen = view.observe(steady, expected)
         observed = seen.mask
-        hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
+        hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head, expected.complete)
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
         doubtful = expected.head & cv2.bitwise_not(observed & expected.mask)
         ignored = steady.outside | hidden | doubtful | seen.unsure | expected.ignored

@@ -50,11 +50,11 @@ def test_a_hand_is_found_and_filament_is_not_taken_for_one(frame):
     with_hand = frame.copy()
     cv2.ellipse(with_hand, (500, 380), (90, 120), 30, 0, 360, (130, 160, 220), -1)
     nothing = np.zeros(frame.shape[:2], np.uint8)
-    found = occluders.find(with_hand, nothing)
+    found = occluders.find(with_hand, nothing, nothing)
     assert found[380, 500] == 255 and found[60, 60] == 0
     as_filament = nothing.copy()
     cv2.ellipse(as_filament, (500, 380), (90, 120), 30, 0, 360, 255, -1)
-    assert not occluders.find(with_hand, as_filament).any()
+    assert not occluders.find(with_hand, as_filament, nothing).any()
 
 
 def test_what_has_crept_in_slowly_and_was_accepted_hides_nothing(frame):
@@ -64,5 +64,27 @@ def test_what_has_crept_in_slowly_and_was_accepted_hides_nothing(frame):
         climbing = frame.copy()
         climbing[top : top + 60] = (200, 200, 205)
         if top < 200:
-            assert not occluders.find(climbing, np.zeros(frame.shape[:2], np.uint8)).any()
+            nothing = np.zeros(frame.shape[:2], np.uint8)
+            assert not occluders.find(climbing, nothing, nothing).any()
         occluders.accept(climbing)
+
+
+def test_a_hand_that_moves_on_keeps_hiding_the_view(frame):
+    occluders, nothing = Occluders(frame), np.zeros(frame.shape[:2], np.uint8)
+    for x in (500, 400, 300):
+        with_hand = cv2.ellipse(frame.copy(), (x, 380), (90, 90), 0, 0, 360, (130, 160, 220), -1)
+        cv2.ellipse(with_hand, (x, 380), (40, 20), x, 0, 360, (40, 60, 90), -1)
+        assert occluders.find(with_hand, nothing, nothing)[300, x] == 255
+
+
+def test_what_stands_elsewhere_than_for_the_reference_and_stays_there_is_scenery(frame):
+    """A gantry beside the print is scenery at the second look, a thing before the print's place only at the fourth."""
+    changed = frame.copy()
+    changed[40:120] = (180, 170, 60)
+    apart, before = np.zeros((2, *frame.shape[:2]), np.uint8)
+    apart[300:400, 200:400] = 255
+    before[100:400, 200:400] = 255
+    for place, looks in ((apart, 1), (before, 3)):
+        occluders = Occluders(frame)
+        found = [occluders.find(changed, np.zeros_like(place), place).any() for _ in range(5)]
+        assert found == [True] * looks + [False] * (5 - looks)

@@ -38,6 +38,7 @@ class Backdrop:
         self._reference_shift_mm = printer.bed.room_from_print_mm(position_mm)
         bed_mm = (printer.width_mm, printer.depth_mm)
         self.stabiliser = Stabiliser(camera, printer.bed, bed_mm, reference_bgr, position_mm, exclude)
+        self.occluders = Occluders(reference_bgr)
         self._show(self._reference_shift_mm, exclude)
 
     def follow(self, position_mm: Sequence[float], exclude: np.ndarray) -> None:
@@ -50,7 +51,7 @@ class Backdrop:
         self.picture, known = self._moved(shift_mm)
         self.unknown = cv2.bitwise_not(known)
         self.light = Light(self.picture, exclude | self.unknown)
-        self.occluders = Occluders(self.picture)
+        self.occluders.refer_to(self.picture)
         self._shown_mm = shift_mm
 
     def _moved(self, shift_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ WORK_WIDTH_PX = 160
 TORN_ROWS_RATIO = 0.03
 OCCLUDER_RATIO = 0.012
 COLOUR_STEP = 28.0
+STILL_APART, STILL_NEAR = 1, 3  # for how many frames more a thing must lie as it did to be part of the scene
 
 
 def refuse_unusable(frame_bgr: np.ndarray, previous_bgr: np.ndarray | None) -> None:
@@ -46,34 +47,53 @@ def _flat_rows(frame_bgr: np.ndarray) -> int:
 
 
 class Occluders:
-    """Finds what newly stands in the view and is not filament: a hand, a tool, the head where it should not be."""
+    """Finds what newly stands in the view and is not filament: a hand, a tool, the head where it should not be.
+
+    Hands come and go. A gantry that stood elsewhere for the reference, a door that was shut, a box put beside the
+    printer: what lies as it did a frame ago belongs to the scene from then on. Where it may hide the print that takes longer.
+    """
 
     def __init__(self, reference_bgr: np.ndarray) -> None:
         self._size_px = reference_bgr.shape[1::-1]
         self._work_px = (WORK_WIDTH_PX, max(1, WORK_WIDTH_PX * self._size_px[1] // self._size_px[0]))
-        self._reference = self._small(reference_bgr)
-        self._recent = self._reference
+        self._reference = self._recent = self._small(reference_bgr)
+        self._last: np.ndarray | None = None
+        self._still_for = np.zeros(self._reference.shape[:2], np.int16)
 
-    def find(self, frame_bgr: np.ndarray, filament: np.ndarray) -> np.ndarray:
+    def refer_to(self, reference_bgr: np.ndarray) -> None:
+        """The reference with the bed where it stands now; what was seen since stays known."""
+        self._reference = self._small(reference_bgr)
+
+    def find(self, frame_bgr: np.ndarray, filament: np.ndarray, place: np.ndarray) -> np.ndarray:
         """(H, W) uint8, 255 where something hides the view.
 
-        frame_bgr : in the reference's light and view; filament : (H, W) uint8, 255 where filament is or may be.
+        frame_bgr : in the reference's light and view; filament : (H, W) uint8, 255 where filament is or may be;
+        place : (H, W) uint8, 255 where the complete print will be.
         Compared with the reference and with the last good frame: a gantry that climbs differs from the first only.
         """
         small = self._small(frame_bgr)
         changed = np.minimum(_difference(small, self._reference), _difference(small, self._recent)) > COLOUR_STEP
-        print_px = cv2.resize(
-            cv2.dilate(filament, np.ones((13, 13), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA
-        )
-        changed &= print_px == 0
+        still = changed & (_difference(small, small if self._last is None else self._last) < COLOUR_STEP / 2)
+        self._still_for = np.where(still & (self._last is not None), self._still_for + 1, 0).astype(np.int16)
+        self._last = small
+        changed &= self._near(filament) == 0
         blobs = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(blobs)
         large = stats[:, cv2.CC_STAT_AREA] > OCCLUDER_RATIO * labels.size
         large[0] = False
-        if not large.any():
+        hiding = np.zeros(labels.shape, np.uint8)
+        for label in np.flatnonzero(large):
+            blob = labels == label
+            hides = cv2.bitwise_and(blob.astype(np.uint8), self._near(place)).any()
+            if np.median(self._still_for[blob]) < (STILL_NEAR if hides else STILL_APART):
+                hiding[blob] = 255
+        if not hiding.any():
             return np.zeros(frame_bgr.shape[:2], np.uint8)
-        hidden = cv2.dilate(np.where(large[labels], np.uint8(255), np.uint8(0)), np.ones((9, 9), np.uint8))
-        return cv2.resize(hidden, self._size_px, interpolation=cv2.INTER_NEAREST)
+        return cv2.resize(cv2.dilate(hiding, np.ones((9, 9), np.uint8)), self._size_px, interpolation=cv2.INTER_NEAREST)
+
+    def _near(self, mask: np.ndarray) -> np.ndarray:
+        """The mask and what is near it, in the work picture's pixels."""
+        return cv2.resize(cv2.dilate(mask, np.ones((13, 13), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA)
 
     def accept(self, frame_bgr: np.ndarray) -> None:
         """The frame is good: what it shows is what the view looks like now."""

@@ -171,10 +171,10 @@ class View:
         """All is well in this frame: so look filament and background in this print."""
         self._segmenter.learn(steady.frame, expected, seen)
 
-    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
-        """(H, W) uint8, 255 where something newly hides the view."""
+    def occluded(self, steady: SteadyFrame, filament: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """(H, W) uint8, 255 where something newly hides the view; filament and place as for `Occluders.find`."""
         assert self._backdrop is not None
-        return self._backdrop.occluders.find(steady.frame, filament | self._backdrop.unknown)
+        return self._backdrop.occluders.find(steady.frame, filament | self._backdrop.unknown, place)
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
