@@ -82,9 +82,54 @@ def test_another_resolution_shows_the_same_view(lens):
     assert abs(shrunk.sum() - small.sum()) < 0.02 * small.sum()
 
 
+def test_a_resolution_that_is_no_whole_multiple_shows_the_same_view_too():
+    camera = eye()
+    other = camera.resized((1000, 750))
+    assert np.allclose((other.project(POINTS) + 0.5) * 0.64, camera.project(POINTS) + 0.5, atol=1e-6)
+    assert camera.resized((644, 480)).image_size_px == (644, 480)  # rounding of a scaler, not another shape
+
+
+@pytest.mark.parametrize("lens", [name for name in LENSES if name != "14 coefficients"])
+def test_rays_have_length_one_and_point_at_what_their_pixels_show(lens):
+    camera = eye(lens)
+    rays = camera.rays(camera.project(POINTS))
+    to_points = POINTS - camera.centre_mm
+    in_room = rays @ camera.camera_from_room[:3, :3]
+    assert np.allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
+    assert np.allclose(in_room, to_points / np.linalg.norm(to_points, axis=1, keepdims=True), atol=1e-4)
+    assert camera.rays(np.empty((0, 2))).shape == (0, 3)
+
+
+def test_what_is_at_or_behind_the_camera_has_no_pixel():
+    camera = Camera((640, 480), np.diag([600.0, 600.0, 1.0]), np.zeros(5), np.zeros(3), np.zeros(3))
+    pixels = camera.project([[0.1, 0.2, 0.5], [1, 1, 0], [0, 0, -5]])
+    assert np.allclose(pixels[0], [120, 240]) and np.isnan(pixels[1:]).all()
+    assert camera.project(np.empty((0, 3))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("model, legal", [("pinhole", {0, 4, 5, 8, 12, 14}), ("fisheye", {4})])
+def test_a_lens_has_as_many_numbers_as_opencv_knows(model, legal):
+    good = eye().to_json()
+    for count in range(16):
+        data = {**good, "model": model, "distortion": [0.0] * count}
+        if count in legal:
+            assert Camera.from_json(data).distortion.size == count
+        else:
+            with pytest.raises(CameraError, match=f"not {count}"):
+                Camera.from_json(data)
+
+
+def test_a_camera_cannot_be_changed_behind_the_back_of_whoever_uses_it():
+    camera = eye()
+    for numbers in (camera.K, camera.distortion, camera.rvec, camera.tvec_mm):
+        with pytest.raises(ValueError):
+            numbers[0] = 1
+
+
 def test_another_shape_of_picture_is_refused():
-    with pytest.raises(CameraError, match="another shape"):
-        eye().resized((1280, 720))
+    for size in ((1280, 720), (640, 520), (656, 480)):
+        with pytest.raises(CameraError, match=f"{size[0]} x {size[1]} px.* 640 x 480 px"):
+            eye().resized(size)
 
 
 @pytest.mark.parametrize("lens", ["5 coefficients", "8 coefficients", "fisheye"])
@@ -113,13 +158,17 @@ def test_a_bed_moves_the_print_against_the_machine():
     assert BedMotion("z", (0, 0, 10)).room_from_print_mm((9, 9, 30)).tolist() == [0, 0, -20]
     with pytest.raises(CameraError, match="diagonal"):
         BedMotion("diagonal")
+    with pytest.raises(CameraError, match="finite"):
+        BedMotion("y", (0, float("inf"), 0))
 
 
 def test_numbers_that_are_no_camera_are_refused_in_words():
     good = eye().to_json()
     for key, value, said in (
         ("K", [[1, 2], [3, 4]], "shape"), ("K", "abc", "list of numbers"),
-        ("K", np.diag([-600, 600, 1]).tolist(), "focal"),
+        ("K", np.diag([-600, 600, 1]).tolist(), "focal"), ("K", np.diag([600, 0, 1]).tolist(), "focal"),
+        ("K", np.diag([0, 600, 1]).tolist(), "focal"), ("K", np.eye(4).tolist(), "shape"),
+        ("image_size_px", [640, 0], "640 x 0"),
         ("distortion", [0.1] * 6, "distortion"), ("rvec", [0, 0, float("nan")], "finite"), ("tvec_mm", None, "tvec_mm"),
         ("image_size_px", [0, 480], "0 x 480"), ("image_size_px", 640, "width, height"), ("model", "mirror", "mirror"),
     ):  # fmt: skip

@@ -47,5 +47,9 @@ def test_a_view_without_any_print_has_no_error():
 
 
 def test_masks_of_different_sizes_are_refused():
-    with pytest.raises(ValueError, match="different sizes"):
-        compare(np.zeros((4, 4), np.uint8), np.zeros((4, 5), np.uint8), np.zeros((4, 4), np.uint8))
+    right = np.zeros((4, 4), np.uint8)
+    for shape in ((4, 5), (3, 4), (5, 3)):
+        wrong = np.zeros(shape, np.uint8)
+        for masks in ((right, wrong, right), (right, right, wrong), (right, right, right, wrong)):
+            with pytest.raises(ValueError, match="different sizes"):
+                compare(*masks)
