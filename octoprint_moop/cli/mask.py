@@ -8,12 +8,11 @@ import click
 import cv2
 
 from ..core.errors import MoopError, RecordingError
-from ..core.expected.meshroad import MeshRoad
-from ..core.expected.solid import read_solid
 from ..core.expected.views import ExpectedViews
-from ..core.gcode.read import read_gcode
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
+from ..machine.roads import MeshChoice
+from .replay import placement_from
 
 
 @click.command()
@@ -26,6 +25,7 @@ from ..machine.renderers import open_renderer
 @click.option("--complete", is_flag=True, help="The complete print.")
 @click.option("--distorted", is_flag=True, help="In the frame's own pixels, lens distortion included.")
 @click.option("--mesh", type=click.Path(path_type=Path), help="Draw this model (STL, OBJ, 3MF) instead of the beads.")
+@click.option("--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds.")
 @click.option("-o", "out", required=True, type=click.Path(path_type=Path), help="The PNG to write: 0 or 255.")
 def mask(
     recording: Path,
@@ -35,6 +35,7 @@ def mask(
     complete: bool,
     distorted: bool,
     mesh: Path | None,
+    mesh_at: str | None,
     out: Path,
 ) -> None:
     """Write what the camera must see of the print in RECORDING at one moment."""
@@ -44,20 +45,18 @@ def mask(
     bed = opened.header.printer.bed
     camera = opened.header.camera()
     position_mm = _position_mm(position) or bed.reference_mm
+    road = opened.road(None if mesh is None else MeshChoice(mesh, placement_from(mesh_at)))
     if frame is not None:
-        moment = opened.moment(frame)
+        moment = road.moment(opened.moment(frame))
         camera = opened.header.camera(moment.camera)
         file_pos, position_mm = moment.file_pos, _position_mm(position) or moment.position_mm
     if not distorted:
         camera = camera.undistorted()
-    with opened.job_path() as path:
-        toolpath = read_gcode(path)
-    solid = None if mesh is None else read_solid(mesh).placed_on(toolpath)
-    for note in () if solid is None else solid.notes:
+    for note in () if road.solid is None else road.notes:
         click.echo(note, err=True)
     with open_renderer() as renderer:
-        road = renderer if solid is None else MeshRoad(renderer, solid)
-        expected = ExpectedViews(toolpath, camera, bed, road).at(file_pos or 0, position_mm)
+        views = ExpectedViews(road.toolpath, camera, bed, road.drawn_by(renderer))
+        expected = views.at(file_pos or 0, position_mm)
         write_png(out, expected.complete if complete else expected.mask)
 
 

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
-from ..core.errors import SettingsError
-from ..core.gcode.read import read_gcode
+from ..core.errors import MeshError, SettingsError
+from ..core.expected.placing import Placement
 from ..core.inspection import Check, Inspector, Summary
 from ..core.settings import Settings, read_value
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
+from ..machine.roads import MeshChoice
 from .report import Report
 
 
@@ -23,18 +24,25 @@ from .report import Report
 @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="A setting other than its default.")
 @click.option("--report", "page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
               help="Also write a page with plot and pictures, to be read anywhere.")  # fmt: skip
-def replay(recording: Path, as_json: bool, changes: tuple[str, ...], page: Path | None) -> None:
+@click.option("--mesh", type=click.Path(path_type=Path), help="Compare with this model (STL, OBJ, 3MF), as the paper.")
+@click.option("--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds.")
+@click.option("--layer-height-mm", type=float, help="With --mesh, where the G-code cannot be read.")
+def replay(
+    recording: Path, as_json: bool, changes: tuple[str, ...], page: Path | None,
+    mesh: Path | None, mesh_at: str | None, layer_height_mm: float | None,
+) -> None:  # fmt: skip
     """Run the live plugin's pipeline over RECORDING, in time order and without looking ahead."""
     settings = _settings(changes)
     report = Report(f"Replay of {recording.resolve().name}")
     opened = Recording.open(recording)
-    with opened.job_path() as path:
-        toolpath = read_gcode(path)
+    road = opened.road(None if mesh is None else MeshChoice(mesh, placement_from(mesh_at), layer_height_mm))
+    for note in () if road.solid is None else road.notes:
+        click.echo(note, err=True)
     checks: list[Check] = []
     with open_renderer() as renderer:
-        inspector = Inspector(opened.header, toolpath, renderer, settings, opened.reference())
+        inspector = Inspector(opened.header, road.toolpath, road.drawn_by(renderer), settings, opened.reference())
         for moment in opened.moments:
-            check = inspector.check(opened.frame(moment), moment)
+            check = inspector.check(opened.frame(moment), road.moment(moment))
             checks.append(check)
             if page is not None:
                 report.add(check, inspector.pictures if check.comparison else None)
@@ -43,6 +51,16 @@ def replay(recording: Path, as_json: bool, changes: tuple[str, ...], page: Path 
     if page is not None:
         report.write(page, summary, _summary_sentence(summary))
     click.echo(json.dumps(summary.to_json()) if as_json else _summary_sentence(summary))
+
+
+def placement_from(text: str | None) -> Placement:
+    """Raises MeshError unless the text is two or three numbers."""
+    if text is None:
+        return Placement()
+    parts = text.split(",")
+    if len(parts) not in (2, 3):
+        raise MeshError(f"--mesh-at {text!r}: write X,Y or X,Y,DEG, as in 100,110,90.")
+    return Placement.from_json(dict(zip(("x_mm", "y_mm", "turn_deg"), parts)))
 
 
 def _settings(changes: tuple[str, ...]) -> Settings:

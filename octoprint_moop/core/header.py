@@ -27,6 +27,7 @@ class Moment:
     camera      : name of the camera, None for the first
     again       : a second look at what the frame before it shows, in the same hold: see `Inspector.confirm`
     cancelled   : objects cancelled while printing, each with the file position from which on it is not printed
+    sure_pos    : what ends after it may not have been executed yet; None where there is no doubt
     """
 
     frame: str
@@ -38,6 +39,7 @@ class Moment:
     camera: str | None = None
     cancelled: tuple[tuple[str, int], ...] = ()
     again: bool = False
+    sure_pos: int | None = None
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Moment:
@@ -54,6 +56,7 @@ class Moment:
                 camera=None if data.get("camera") is None else str(data["camera"]),
                 cancelled=tuple(sorted((str(name), int(pos)) for name, pos in (data.get("cancelled") or {}).items())),
                 again=bool(data.get("again", False)),
+                sure_pos=None if data.get("sure_pos") is None else int(data["sure_pos"]),
             )
         except KeyError as missing:
             raise RecordingError(f"A line has no {missing.args[0]!r}.") from None
@@ -72,6 +75,8 @@ class Moment:
             data["cancelled"] = dict(self.cancelled)
         if self.again:
             data["again"] = True
+        if self.sure_pos is not None:
+            data["sure_pos"] = self.sure_pos
         return data
 
 
@@ -125,10 +130,31 @@ class Printer:
 
 
 @dataclass(frozen=True)
+class UsedMesh:
+    """A print was compared with a mesh: the recording's file, placed already, and the layer height that was needed."""
+
+    file: str = "model.stl"
+    layer_height_mm: float | None = None
+
+    @classmethod
+    def from_json(cls, data: Any) -> UsedMesh:
+        """Raises RecordingError."""
+        try:
+            height = data.get("layer_height_mm")
+            return cls(str(data.get("file", "model.stl")), None if height is None else float(height))
+        except (AttributeError, TypeError, ValueError):
+            raise RecordingError("The header's `mesh` needs `file`, and perhaps `layer_height_mm`.") from None
+
+    def to_json(self) -> dict[str, Any]:
+        return {"file": self.file, "layer_height_mm": self.layer_height_mm}
+
+
+@dataclass(frozen=True)
 class Header:
     """The header of a recording. `cameras` maps a camera's name to it; the first has the name None as well.
 
     reference_mm : where the machine stood when reference.jpg was taken; None for the bed's reference position
+    mesh : None where the G-code alone told what must be seen
     """
 
     printer: Printer
@@ -137,6 +163,7 @@ class Header:
     job_file: str = "job.gcode"
     job_bytes: int = 0
     reference_mm: tuple[float, float, float] | None = None
+    mesh: UsedMesh | None = None
 
     @classmethod
     def from_json(cls, data: Any) -> Header:
@@ -170,6 +197,7 @@ class Header:
             job_file=str(job.get("file", "job.gcode")),
             job_bytes=int(job.get("bytes", 0)),
             reference_mm=reference_mm,
+            mesh=UsedMesh.from_json(data["mesh"]) if data.get("mesh") else None,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -185,6 +213,8 @@ class Header:
             data["material"] = self.material.to_json()
         if self.reference_mm is not None:
             data["reference"] = {"position_mm": dict(zip("xyz", self.reference_mm))}
+        if self.mesh is not None:
+            data["mesh"] = self.mesh.to_json()
         return data
 
     def camera(self, name: str | None = None) -> Camera:

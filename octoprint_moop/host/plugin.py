@@ -16,11 +16,16 @@ from ..machine.calibrations import Calibrations
 from ..machine.homing import Homing
 from ..machine.ledger import Ledger
 from ..machine.link import EyeLink
+from ..machine.meshes import Meshes
 from ..machine.setups import Setups
 from ..machine.watch import Job, Watch
 from ..machine.webcam import Webcam, octoprint_webcam, webcam_name
 from .api import MoopApi
+<<<<<<< HEAD
 from .api_calibrations import MoopCalibrationsApi
+=======
+from .api_jobs import MoopJobsApi
+>>>>>>> ca4e66c (mesh)
 from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
 
@@ -29,6 +34,7 @@ REPOSITORY = ("octoprint-moop", "octoprint_moop")
 
 class MoopPlugin(
     MoopApi,
+    MoopJobsApi,
     MoopPastApi,
     MoopSetupApi,
     MoopCalibrationsApi,
@@ -50,8 +56,13 @@ class MoopPlugin(
         self._setups, self._found = Calibrations(data / "setups.json"), Setups(data / "found.json")
         self._homing = Homing()
         self._lens_pictures: dict[int, bytes] = {}
+<<<<<<< HEAD
         self._pose_picture, self._pose_position_mm = b"", None
         self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
+=======
+        self._pose_picture, self._bench_lock = b"", threading.Lock()
+        self._meshes, self._meshes_lock = Meshes(data / "meshes"), threading.Lock()
+>>>>>>> ca4e66c (mesh)
         self._moop_settings = self._stored_settings()
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
         # Questions of the set-up never make a check wait, nor a replay a question: each has an eye of its own, born
@@ -115,11 +126,16 @@ class MoopPlugin(
 
     def _job(self, payload: Any) -> Job:
         name = str(payload.get("name") or payload.get("path") or "")
-        if payload.get("origin") != "local":
-            why = "This print runs from the printer's own storage, where nobody can hold it for a look."
-            return Job(name, None, None, why)
-        path = self._file_manager.path_on_disk("local", payload["path"])
-        return Job(name, path, self._setups.get(*self._setup_key()))
+        origin, path = str(payload.get("origin")), str(payload.get("path") or "")
+        key = self._job_key(origin, path)
+        mesh, header = self._mesh_of(key), self._setups.get(*self._setup_key())
+        if origin != "local":
+            why = (
+                "This print runs from the printer's own storage, where nobody can hold it for a look. "
+                "With a model and its layer height it can still be watched: attach one to this job."
+            )
+            return Job(name, None, header, why, key, mesh, held=False)
+        return Job(name, self._file_manager.path_on_disk("local", path), header, "", key, mesh)
 
     def _setup_key(self) -> tuple[str, str]:
         """Printer profile and webcam that a set-up holds for."""
@@ -197,6 +213,7 @@ class MoopPlugin(
             "octoprint.comm.protocol.atcommand.queuing": self.on_atcommand_queuing,
             "octoprint.comm.protocol.scripts": self.on_script,
             "octoprint.access.permissions": self.permissions,
+            "octoprint.server.http.bodysize": self.body_sizes,
             "octoprint.events.register_custom_events": self.custom_events,
             "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
             "octoprint.plugin.softwareupdate.check_config": self.update_information,

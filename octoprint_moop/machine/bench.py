@@ -16,6 +16,8 @@ from .pictures import decode, encode_mask
 
 Answer = tuple[dict[str, Any], list[bytes]]
 
+NEEDS_HEIGHT = "The job cannot be read as G-code: enter the print's layer height, and the model alone is compared with."
+
 
 def segment(blobs: list[bytes], material: dict[str, Any]) -> Answer:
     """The mask, as a PNG, that these thresholds give on a frame."""
@@ -141,6 +143,38 @@ def guides(blobs: list[bytes], printer: dict[str, Any], camera: dict[str, Any]) 
     return {"lines": [line.to_json() for line in lines]}, []
 
 
+def mesh(blobs: list[bytes], mesh: dict[str, Any], job: str | None) -> Answer:
+    """What a model file holds, and what is wrong with it or with how it is placed: bytes, triangles, size_mm, notes.
+
+    mesh : as MeshChoice reads it; the layer height is checked only where the job cannot be read
+    """
+    from pathlib import Path
+
+    from ..core.errors import GcodeError
+    from ..core.expected.placing import place
+    from ..core.expected.solid import read_solid
+    from ..core.gcode.read import read_gcode
+    from .roads import MeshChoice, find_road
+
+    choice = MeshChoice.from_json(mesh)
+    solid = read_solid(choice.path)
+    low, high = solid.bounds_mm()
+    try:
+        toolpath = None if job is None else read_gcode(Path(job))
+    except GcodeError:
+        toolpath = None
+    if toolpath is not None:
+        notes = place(solid, choice.placement, toolpath).notes
+    elif choice.layer_height_mm is not None:
+        notes = find_road(None, choice).notes
+    else:
+        notes = (*solid.notes, NEEDS_HEIGHT)
+    return {
+        "bytes": choice.path.stat().st_size, "triangles": len(solid.triangles_mm),
+        "size_mm": [round(float(side), 3) for side in high - low], "notes": list(notes),
+    }, []  # fmt: skip
+
+
 def replay(
     blobs: list[bytes], recording: str, material: dict[str, Any], settings: dict[str, Any], masks: str
 ) -> Answer:
@@ -151,7 +185,6 @@ def replay(
     from dataclasses import replace
     from pathlib import Path
 
-    from ..core.gcode.read import read_gcode
     from ..core.inspection import Inspector, Summary
     from ..core.settings import read_settings
     from .recording import Recording
@@ -160,13 +193,14 @@ def replay(
     opened = Recording.open(recording)
     header = replace(opened.header, material=HsvThresholds.from_json(material))
     checks = []
-    with opened.job_path() as path:
-        toolpath = read_gcode(path)
+    road = opened.road()
     with open_renderer() as renderer:
-        inspector = Inspector(header, toolpath, renderer, read_settings(settings), opened.reference())
+        inspector = Inspector(
+            header, road.toolpath, road.drawn_by(renderer), read_settings(settings), opened.reference()
+        )
         for number, moment in enumerate(opened.moments):
             inspector.pictures = None
-            checks.append(inspector.check(opened.frame(moment), moment))
+            checks.append(inspector.check(opened.frame(moment), road.moment(moment)))
             if inspector.pictures is not None:
                 pictures = inspector.pictures
                 for kind, mask in (
@@ -181,8 +215,12 @@ def replay(
 
 QUESTIONS = {
     question.__name__: question
+<<<<<<< HEAD
     for question in (
         *(segment, validate, printer, markers, board_picture, find_board, lens, pose, points, bed_motion, guides),
         *(shrink, replay),
     )
+=======
+    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides, mesh, replay)
+>>>>>>> ca4e66c (mesh)
 }

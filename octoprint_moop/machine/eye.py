@@ -36,6 +36,7 @@ from .pictures import decode, encode_mask
 from .pipe import receive, send
 from .recording import Recording
 from .renderers import open_renderer
+from .roads import MeshChoice, Road, find_road
 
 if TYPE_CHECKING:
     from .gl import GlRenderer
@@ -48,6 +49,7 @@ class Eye:
 
     def __init__(self) -> None:
         self._inspector: Inspector | None = None
+        self._road: Road | None = None
         self._renderer_stack = contextlib.ExitStack()
         self._renderer: GlRenderer | CvRenderer | None = None
 
@@ -58,63 +60,76 @@ class Eye:
     def open(
         self,
         blobs: list[bytes],
-        job: str,
+        job: str | None,
         header: dict[str, Any],
         settings: dict[str, Any],
         cache: str,
+        mesh: dict[str, Any] | None = None,
         keep_as: str | None = None,
+        keep_mesh_as: str | None = None,
         recording: str | None = None,
         said: dict[str, str] | None = None,
     ) -> Answer:
         """Get ready to watch a print: read the G-code and make the inspector.
 
-        job       : path of the G-code file
+        job       : path of the G-code file, None where there is none
+        mesh      : the model to compare with, as MeshChoice reads it; None for the G-code alone
         settings  : the user's choices, by name
         blobs     : the empty bed's picture, JPEG, or nothing
         keep_as   : where to put a packed copy of the job, for the recording
+        keep_mesh_as : where to put the mesh as placed, likewise
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
         said      : what the user said after which of its frames: `accept` or `pardon`
-        Answers layers, ends (file position of each layer's end), bounds_mm, objects, cancel_commands, modes (at
-        each end), notes, renderer.
+        Answers road (gcode, mesh or height), layers, ends (file position of each layer's end; none by height),
+        bounds_mm, objects, cancel_commands, modes (at each end), notes, renderer.
         """
-        toolpath = read_gcode(Path(job), cache_dir=Path(cache))
-        ends = toolpath.layer_end_pos.tolist()
-        if keep_as and not Path(keep_as).exists():
-            _pack(Path(job), Path(keep_as))
+        path = None if job is None else Path(job)
+        road = find_road(path, None if mesh is None else MeshChoice.from_json(mesh), Path(cache))
+        toolpath = road.toolpath
+        ends = [] if road.name == "height" else toolpath.layer_end_pos.tolist()
+        if path is not None and keep_as and not Path(keep_as).exists():
+            _pack(path, Path(keep_as))
+        if road.solid is not None and keep_mesh_as:
+            with contextlib.suppress(OSError):  # a full disk costs the recording, never the check
+                Path(keep_mesh_as).write_bytes(road.solid.stl())
         reference = decode(blobs[0]) if blobs else None
+        self._road = road
         self._inspector = Inspector(
-            Header.from_json(header), toolpath, self._draw(), read_settings(settings), reference
+            Header.from_json(header), toolpath, road.drawn_by(self._draw()), read_settings(settings), reference
         )
         if recording:
             self._learn_again(Recording.open(recording), said or {})
+        modes = read_modes(_as_octoprint_counts(path), ends) if path is not None and ends else []
         return {
+            "road": road.name,
             "layers": toolpath.layers,
             "ends": ends,
             "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
             "cancel_commands": list(toolpath.cancel_commands),
-            "modes": [modes.to_json() for modes in read_modes(_as_octoprint_counts(Path(job)), ends)],
-            "notes": list(toolpath.notes),
+            "modes": [mode.to_json() for mode in modes],
+            "notes": list(road.notes),
             "renderer": self._draw().name,
         }, []
 
     def check(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
         """One check of the print that is open. blobs: the frame, JPEG."""
-        return self._opened().check(decode(blobs[0]), Moment.from_json(moment)).to_json(), []
+        inspector, road = self._opened()
+        return inspector.check(decode(blobs[0]), road.moment(Moment.from_json(moment))).to_json(), []
 
     def accept(self, blobs: list[bytes]) -> Answer:
         """The user goes on with the print as the last check saw it."""
-        self._opened().accept()
+        self._opened()[0].accept()
         return {}, []
 
     def pardon(self, blobs: list[bytes]) -> Answer:
         """The user says that what the last check saw is no failure."""
-        self._opened().pardon()
+        self._opened()[0].pardon()
         return {}, []
 
     def pictures(self, blobs: list[bytes]) -> Answer:
         """The masks of the last check as PNGs: seen, expected, ignored. No blobs where nothing could be compared."""
-        pictures = self._opened().pictures
+        pictures = self._opened()[0].pictures
         if pictures is None:
             return {}, []
         return {}, [encode_mask(mask) for mask in (pictures.observed, pictures.expected, pictures.ignored)]
@@ -128,15 +143,16 @@ class Eye:
             self._renderer_stack.enter_context(self._renderer)
         return self._renderer
 
-    def _opened(self) -> Inspector:
-        if self._inspector is None:
+    def _opened(self) -> tuple[Inspector, Road]:
+        if self._inspector is None or self._road is None:
             raise MoopError("No print is being watched just now. Start one, then look again.")
-        return self._inspector
+        return self._inspector, self._road
 
     def _learn_again(self, recording: Recording, said: dict[str, str]) -> None:
+        inspector, road = self._opened()
         for moment in recording.moments[-REBUILT_CHECKS:]:
             with contextlib.suppress(MoopError):  # one damaged picture must not cost what the others teach
-                self._opened().check(recording.frame(moment), moment)
+                inspector.check(recording.frame(moment), road.moment(moment))
             if moment.frame in said:
                 getattr(self, said[moment.frame])([])
 

@@ -41,6 +41,7 @@ class Hold:
     dropped  : why it has lost its purpose, "" while it has not
     lost     : the connection went, and OctoPrint's hold with it
     marked   : the slicer's own mark brought it about, with the head where the user wants it
+    unheld   : the job runs from the printer's own storage: its firmware was told to stand still for a while instead
     """
 
     file_pos: int
@@ -55,6 +56,7 @@ class Hold:
     stopped: threading.Event = field(default_factory=threading.Event)
     dropped: str = ""
     lost: bool = False
+    unheld: bool = False
 
     def drop(self, why: str, lost: bool = False) -> None:
         self.dropped, self.lost = why, lost or self.lost
@@ -121,6 +123,16 @@ class Holds:
         self._next_pos = 0
         return True
 
+    def glance(self, dwell_s: float) -> None:
+        """Have a firmware that prints from its own storage finish its moves, report, and stand still for a while."""
+        hold = Hold(0, 0, f"{SETTLE_TAG}:{next(self._numbers)}", unheld=True)
+        with self._lock:
+            if self._hold is not None or self._plan is None:
+                return
+            self._hold = hold
+        self._printer.commands(["M400", "M114", f"G4 P{dwell_s * 1000:.0f}"], tags={hold.tag})
+        self._hand_over(hold)
+
     def drop(self, why: str, lost: bool = False) -> None:
         """Whoever waits for a hold shall stop waiting and release it. lost: its connection has gone."""
         hold = self._hold
@@ -147,7 +159,7 @@ class Holds:
             if self._hold is not hold:
                 return
             self._hold = None
-        if hold.lost:
+        if hold.lost or hold.unheld:
             return
         try:
             self._printer.set_job_on_hold(False)
@@ -212,7 +224,7 @@ class Holds:
             return None
         layer = plan.wanted.get(file_pos)
         if self._asked:
-            layer = min(bisect.bisect_left(plan.ends, file_pos), len(plan.ends) - 1)
+            layer = max(min(bisect.bisect_left(plan.ends, file_pos), len(plan.ends) - 1), 0)
         elif layer is None:
             self.missed += 1
         if layer is None or (time.monotonic() < plan.not_before_s and not self._asked):

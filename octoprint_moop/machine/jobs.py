@@ -17,20 +17,37 @@ EDGE_MM = 2.0
 
 @dataclass(frozen=True)
 class Job:
-    """A print that began. header: a recording's header, or None where the set-up was never made."""
+    """A print that began.
+
+    header : a recording's header, or None where the set-up was never made
+    key    : tells it from other jobs, as `meshes.Meshes` knows it
+    mesh   : what the eye must know of the mesh that is to be used; None for none
+    held   : False where the printer reads it from its own storage: it can be stopped for a look, but not held
+    """
 
     name: str
     path: str | None
     header: dict[str, Any] | None
     why_not: str = ""
+    key: str = ""
+    mesh: dict[str, Any] | None = None
+    held: bool = True
     over: threading.Event = field(default_factory=threading.Event)
 
 
 @dataclass
 class Print:
-    """What the watching thread knows of the print that runs. Nobody else touches it."""
+    """What the watching thread knows of the print that runs. Nobody else touches it.
+
+    mesh      : as in Job; a user may change it while printing
+    ready     : the eye knows what must be seen of it
+    by_height : a mesh alone tells that, and no layer's end is known
+    """
 
     job: Job
+    mesh: dict[str, Any] | None = None
+    ready: bool = False
+    by_height: bool = False
     began_s: float = field(default_factory=time.monotonic)
     recorder: Recorder | None = None
     ends: list[int] = field(default_factory=list)

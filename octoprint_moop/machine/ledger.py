@@ -29,7 +29,8 @@ class Ledger:
         self._checked_s = 0.0
         self._status: dict[str, Any] = {
             "watching": False, "blind": IDLE, "blind_code": blindness.IDLE, "job": None, "layer": None, "layers": None,
-            "checks": 0, "last_check": None, "action": "none", "reason": "", "renderer": "", "version": version, "held_s": 0.0,
+            "checks": 0, "last_check": None, "action": "none", "reason": "", "renderer": "", "road": "gcode",
+            "version": version, "held_s": 0.0,
         }  # fmt: skip
 
     # --- read by anybody ------------------------------------------------------------------------------------------

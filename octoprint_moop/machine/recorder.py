@@ -59,6 +59,14 @@ class Recorder:
             except OSError as error:
                 self._give_up(error)
 
+    def renew(self, header: dict[str, Any]) -> None:
+        """What the header says of the print has changed."""
+        if self.folder is not None:
+            try:
+                write_json(self.folder / "recording.json", header)
+            except OSError as error:
+                self._give_up(error)
+
     def add(self, jpeg: bytes, moment: dict[str, Any], check: dict[str, Any] | None) -> None:
         """One frame with its moment, and what was concluded, None where nothing was. The frame's name is `moment`'s."""
         self._frames += 1

@@ -8,14 +8,17 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..core.errors import FrameError, MoopError, RecordingError
+from ..core.expected.placing import Placement
+from ..core.expected.solid import read_solid
 from ..core.header import Header, Moment
 from .pictures import decode
+from .roads import MeshChoice, Road, find_road
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,17 @@ class Recording:
             except (OSError, EOFError) as error:
                 raise RecordingError(f"{packed}: cannot be unpacked ({error}). Copy the recording again.") from None
             yield unpacked
+
+    def road(self, mesh: MeshChoice | None = None) -> Road:
+        """How what must be seen is found: as live, or by this mesh. Raises GcodeError, MeshError, RecordingError."""
+        if mesh is None and self.header.mesh is not None:
+            mesh = MeshChoice(self._inside(self.header.mesh.file), Placement(), self.header.mesh.layer_height_mm)
+            low, high = read_solid(mesh.path).bounds_mm()  # as placed: it stays there
+            mesh = replace(mesh, placement=Placement(*((low + high) / 2)[:2].tolist()))
+        if mesh is not None and not self.header.job_file:
+            return find_road(None, mesh)
+        with self.job_path() as path:
+            return find_road(path, mesh)
 
     def reference(self) -> np.ndarray | None:
         """The empty bed, (H, W, 3) uint8 BGR, or None where the recording has no picture of it."""

@@ -31,6 +31,10 @@ log = logging.getLogger("octoprint.plugins.moop.watch")
 OPEN_TIMEOUT_S = 900.0
 REVIVALS = 5
 TICK_S = 2.0
+BY_HEIGHT_S = 60.0
+"""How often to look where no G-code tells when a layer ends."""
+GLANCE_S = 1.5
+"""How long a picture may take while the firmware stands still."""
 REST_S = 600.0
 """After so long without a print the eye is closed, and its memory given back."""
 
@@ -64,6 +68,7 @@ class Watch:
         self.actor = Actor(printer)
         self._print: Print | None = None
         self._job: Job | None = None
+        self._paused = False
         self._idle_since_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="moop.watch", daemon=True)
 
@@ -83,7 +88,7 @@ class Watch:
         self._mailbox.put(lambda: self._read_ahead(path))
 
     def job_started(self, job: Job) -> None:
-        self._job = job
+        self._job, self._paused = job, False
         self._mailbox.put(lambda: self._begin(job))
 
     def job_stopping(self, why: str, lost: bool = False) -> None:
@@ -99,10 +104,12 @@ class Watch:
 
     def job_paused(self) -> None:
         """Ours or not: the hot end cools after a while only where we are the cause."""
+        self._paused = True
         if self._ledger.status["action"] == "pause" and self._settings.cool_after_min:
             self.actor.cool_later(self._settings.cool_after_min * 60)
 
     def job_resumed(self) -> None:
+        self._paused = False
         self._mailbox.put(self._go_on)
 
     def apply(self, settings: Settings) -> None:
@@ -113,7 +120,15 @@ class Watch:
 
     def check_now(self) -> bool:
         """Look at the very next line of the file. False where nothing is being watched."""
+        job = self._job
+        if job is not None and not job.held and not job.over.is_set():
+            self._mailbox.put(self._look_if_ready)
+            return True
         return self.holds.ask()
+
+    def mesh_changed(self, key: str, mesh: dict[str, Any] | None) -> None:
+        """A user gave a job another mesh, or placed it anew; None where the G-code alone is to be used."""
+        self._mailbox.put(lambda: self._take_mesh(key, mesh))
 
     def pardon(self) -> None:
         """What was found is not a failure: take it back."""
@@ -141,11 +156,11 @@ class Watch:
                 log.exception("The watch stumbled, and goes on")
 
     def _begin(self, job: Job) -> None:
-        self._print = current = Print(job)
+        self._print = current = Print(job, job.mesh)
         self.holds.plan_none()
         self.actor.begin()
         self._ledger.begin(job.name)
-        if job.why_not or job.path is None:
+        if job.mesh is None and (job.why_not or job.path is None):
             self._ledger.blind(blindness.NOT_LOCAL, job.why_not or "This print's file is not OctoPrint's own.")
             return
         if job.header is None:
@@ -161,16 +176,17 @@ class Watch:
 
     def _open(self, current: Print, again: bool = False) -> None:
         """Make the eye ready for this print, and begin to hold at its layers."""
-        assert current.job.path is not None
         folder = current.recorder.folder if current.recorder is not None else None
         packed = folder / "job.gcode.gz" if folder is not None else None
         # The packed copy is what is being printed, whatever has become of the file since.
         job = packed if again and packed is not None and packed.exists() else current.job.path
+        again = again and current.ready
         try:
             result, _ = self._eye.ask(
                 "open", timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
-                job=str(job), header=self._header(current), settings=asdict(self._settings),
-                cache=str(self._cache), keep_as=str(packed) if packed is not None else None,
+                job=None if job is None else str(job), header=self._header(current), settings=asdict(self._settings),
+                mesh=current.mesh, cache=str(self._cache), keep_as=str(packed) if packed is not None else None,
+                keep_mesh_as=str(folder / "model.stl") if folder is not None else None,
                 recording=str(folder) if again and folder is not None else None, said=current.said,
             )  # fmt: skip
         except Interrupted:
@@ -181,7 +197,7 @@ class Watch:
         except MoopError as error:
             self._ledger.blind(error.code, str(error))
             return
-        current.born = self._eye.births
+        current.born, current.ready, current.by_height = self._eye.births, True, result["road"] == "height"
         current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
         current.modes = [Modes.from_json(modes) for modes in result["modes"]]
         for note in result["notes"]:
@@ -189,8 +205,8 @@ class Watch:
         if not again:
             self.actor.begin(result["objects"], result["cancel_commands"])
         self._plan(current)
-        self._ledger.note(renderer=result["renderer"], layers=len(current.ends))
-        if current.ends:
+        self._ledger.note(renderer=result["renderer"], layers=result["layers"], road=result["road"])
+        if result["layers"]:
             self._ledger.note(blind=None)
         else:
             self._ledger.blind(blindness.NO_LAYERS, "The file extrudes nothing that could be watched.")
@@ -304,6 +320,7 @@ class Watch:
         check, _ = self._eye.ask(
             "check", jpeg, timeout_s=max(deadline_s - time.monotonic(), 1.0), interrupted=hold.stopped, moment=moment
         )
+        moment["layer"] = check["layer"]  # by height, only the eye can tell
         return _Look(jpeg, moment, check)
 
     def _fresh(self, current: Print, hold: Hold, deadline_s: float) -> bytes:
@@ -353,9 +370,11 @@ class Watch:
             if time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:
                 self._eye.close()
             return
-        if not self._ledger.status["watching"]:
+        if current.by_height and not self.holds.refused:
+            self._look_by_height(current)
+        elif not self._ledger.status["watching"]:
             return
-        if self.holds.refused:
+        elif self.holds.refused:
             self._ledger.blind(
                 blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused})."
             )
@@ -366,6 +385,18 @@ class Watch:
             )
         elif settings.longest_s and settings.capture != "slicer" and self._ledger.age_s > settings.longest_s:
             self.holds.ask()
+
+    def _look_by_height(self, current: Print) -> None:
+        since_s = current.began_s if current.looked_s is None else current.looked_s
+        longest_s = self._settings.longest_s or BY_HEIGHT_S
+        if time.monotonic() - since_s > min(longest_s, BY_HEIGHT_S) and not (current.switched_off or self._paused):
+            self._look_anywhere(current)
+
+    def _look_anywhere(self, current: Print) -> None:
+        if current.job.held:
+            self.holds.ask()
+        else:
+            self.holds.glance(self._settings.settle_s + GLANCE_S)
 
     def _end(self, how: str) -> None:
         current, self._print = self._print, None
@@ -409,7 +440,7 @@ class Watch:
     def _apply(self, settings: Settings) -> None:
         before, self._settings = self._settings, settings
         current = self._print
-        if current is None or not current.ends:
+        if current is None or not current.ready:
             return
         seeing = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min", "segmentation", "sensitivity", "head")
         if any(getattr(before, name) != getattr(settings, name) for name in seeing):
@@ -419,18 +450,36 @@ class Watch:
 
     def _switch(self, watching: bool) -> None:
         current = self._print
-        if current is None or current.job.header is None or current.job.path is None:
+        if current is None or current.job.header is None or (current.job.path is None and current.mesh is None):
             return
         current.switched_off = not watching
         if not watching:
             self.holds.plan_none()
             self._ledger.blind(blindness.OFF_FOR_PRINT, "Watching was switched off for this print.")
-        elif current.ends and self._eye.pid is not None and self._eye.births == current.born:
+        elif current.ready and self._eye.pid is not None and self._eye.births == current.born:
             self._plan(current)
             self._ledger.note(blind=None)
         else:  # what made it blind may be mended by now
             current.revivals = 0
-            self._open(current, again=bool(current.ends))
+            self._open(current, again=current.ready)
+
+    def _look_if_ready(self) -> None:
+        if self._print is not None and self._print.ready:
+            self._look_anywhere(self._print)
+
+    def _take_mesh(self, key: str, mesh: dict[str, Any] | None) -> None:
+        """A print that is under way is looked at by its new road from now on, and learned again from its recording."""
+        current = self._print
+        if current is None or current.job.key != key or current.mesh == mesh or current.job.header is None:
+            return
+        current.mesh = mesh
+        if current.recorder is not None:
+            current.recorder.renew(self._header(current))
+        if current.job.path is None and mesh is None:
+            self.holds.plan_none()
+            self._ledger.blind(blindness.NOT_LOCAL, current.job.why_not)
+        else:
+            self._open(current, again=current.ready)
 
     def _header(self, current: Print) -> dict[str, Any]:
         settings = self._settings
@@ -442,5 +491,8 @@ class Watch:
             size = Path(current.job.path or "").stat().st_size
         except OSError:  # deleted or renamed meanwhile
             size = 0
-        head = {"format": "moop-recording", "version": 1, "job": {"file": "job.gcode", "bytes": size}}
+        file = "" if current.job.path is None else "job.gcode"
+        head = {"format": "moop-recording", "version": 1, "job": {"file": file, "bytes": size}}
+        if current.mesh is not None:
+            head["mesh"] = {"file": "model.stl", "layer_height_mm": current.mesh.get("layer_height_mm")}
         return {**head, **(current.job.header or {}), "material": material}

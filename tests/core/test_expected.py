@@ -56,7 +56,7 @@ def test_the_mask_at_a_position_is_that_of_the_beads_that_end_there():
 
 
 def test_what_is_fresh_and_what_is_in_doubt_are_slices_of_the_same_map():
-    seen = views(vase()).at(3000, HERE, before=200, lag_beads=7)
+    seen = views(vase()).at(3000, HERE, before=200, sure_pos=2930)
     older = views(vase()).at(2000, HERE).mask
     sure = views(vase()).at(2930, HERE).mask
     assert np.array_equal(seen.fresh, seen.mask & ~older)

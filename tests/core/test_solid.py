@@ -10,13 +10,17 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from octoprint_moop.core.camera import BedMotion
 from octoprint_moop.core.errors import MeshError
-from octoprint_moop.core.expected.meshroad import MeshRoad
+from octoprint_moop.core.expected.meshroad import MeshRoad, by_height, sliced
+from octoprint_moop.core.expected.placing import Placement, place
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.expected.solid import Solid, printed_bounds_mm, read_solid
 from octoprint_moop.core.expected.views import ExpectedViews
-from octoprint_moop.core.header import Header
+from octoprint_moop.core.header import Header, Moment
 from octoprint_moop.core.toolpath import Role
 from tests.made import LENSES, camera_at, toolpath_of, vase
 
@@ -253,3 +257,72 @@ def test_mesh_and_gcode_agree_on_rendered_cases(shared, case):
         rims.append(cv2.morphologyEx((by_gcode ^ by_mesh).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))).sum())
     assert np.mean(ious) >= 0.97
     assert max(rims) == 0  # beads are round: a rim thinner than a pixel is all that the two differ by
+
+
+def test_a_model_is_turned_and_put_where_the_user_says():
+    brick = trimesh.creation.box(bounds=[[0, 0, 5], [30, 10, 9]])
+    low, high = place(solid_of(brick), Placement(100, 50, 90)).bounds_mm()
+    assert np.allclose([low, high], [[95, 35, 0], [105, 65, 4]], atol=1e-4)
+    # counter-clockwise: what was right is at the back
+    corner = trimesh.creation.box(bounds=[[20, 0, 0], [30, 10, 1]])
+    both = Solid(np.concatenate([solid_of(brick).triangles_mm, solid_of(corner).triangles_mm + [0, 0, 20]]))
+    tower = place(both, Placement(0, 0, 90)).triangles_mm
+    assert tower[tower[:, :, 2].max(axis=1) > 10][:, :, 1].min() > 4.9
+    # without a place of its own it is turned, and then goes where it is printed
+    print_ = vase(20, 60, (120, 80), 15)
+    low, high = place(solid_of(brick), Placement(turn_deg=90), print_).bounds_mm()
+    assert np.allclose((low + high)[:2] / 2, printed_bounds_mm(print_)[:, :2].mean(axis=0), atol=1e-3)
+    assert np.allclose(high[:2] - low[:2], [10, 30], atol=1e-4)
+
+
+@pytest.mark.parametrize("wrong", [{"x_mm": 3}, {"x_mm": "here", "y_mm": 1}, {"turn_deg": float("nan")}, {"turn_deg": 9e9}])
+def test_a_place_that_is_none_is_refused_in_words(wrong):
+    with pytest.raises(MeshError, match="model's"):
+        Placement.from_json(wrong)
+
+
+def test_a_model_alone_gives_the_same_picture_as_its_gcode_would():
+    """Of a cylinder the outline is a circle at each height, and a layer stands from its count on."""
+    mesh = trimesh.creation.cylinder(15, 6, sections=90)
+    mesh.apply_translation((100, 100, 3))
+    solid = solid_of(mesh)
+    print_ = sliced(solid, 0.2)
+    assert print_.layers == 30 and print_.layer_end_pos.tolist() == list(range(1, 31))
+    assert np.allclose(print_.layer_z_mm, 0.2 * np.arange(1, 31))
+    ends = print_.beads_mm[:, :6].reshape(-1, 3)
+    assert np.abs(np.hypot(*(ends[:, :2] - 100).T) - 15).max() < 0.02
+    round_mm = np.hypot(*(print_.beads_mm[:, 3:5] - print_.beads_mm[:, :2]).T).sum() / 30
+    assert abs(round_mm / (2 * np.pi * 15) - 1) < 2e-3
+    camera = camera_at((100, -80, 90), (100, 100, 5))
+    seen = ExpectedViews(print_, camera, BedMotion("fixed"), MeshRoad(CvRenderer(), solid))
+    half = trimesh.creation.cylinder(15, 3, sections=90)
+    half.apply_translation((100, 100, 1.5))
+    wanted = CvRenderer().solid_map(solid_of(half), camera, NOWHERE) > 0
+    assert ((seen.at(15, (0, 0, 0)).mask > 0) ^ wanted).sum() <= 0.01 * wanted.sum()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.05, 0.6))
+def test_the_outline_of_any_ball_is_closed_at_every_height(seed, layer_height_mm):
+    ball = trimesh.creation.icosphere(2, 10)
+    ball.apply_transform(trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3)))
+    ball.apply_translation((0, 0, 10))
+    print_ = sliced(solid_of(ball), layer_height_mm)
+    for layer in range(print_.layers):
+        beads = print_.beads_mm[print_.layer_start[layer] : print_.layer_start[layer + 1]]
+        ends = np.round(beads[:, [0, 1, 3, 4]].reshape(-1, 2), 3)
+        _, uses = np.unique(ends, axis=0, return_counts=True)
+        assert (uses % 2 == 0).mean() > 0.95  # rounding may part two ends
+
+
+def test_at_a_height_what_may_be_a_hop_is_in_doubt():
+    mesh = trimesh.creation.box(bounds=[[90, 90, 0], [110, 110, 10]])
+    print_ = sliced(solid_of(mesh), 0.2)
+    moment = by_height(Moment("a.jpg", 123456, 0, (0, 0, 5.0)), print_, 0.2)
+    assert (moment.file_pos, moment.layer) == (25, 24)
+    assert 0.2 * moment.sure_pos <= 4.0  # a hop of a millimetre over a layer that is not complete
+    assert by_height(Moment("a.jpg", 1, 0, (0, 0, 0.0)), print_, 0.2).file_pos == 0
+    with pytest.raises(MeshError, match="layer height is 9"):
+        sliced(solid_of(mesh), 9)
+    with pytest.raises(MeshError, match="stands on the bed"):
+        sliced(solid_of(mesh).moved([0, 0, -50]), 0.2)

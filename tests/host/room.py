@@ -186,12 +186,15 @@ class Room:
         self.server.upload(path, print=False)
         self.wait("the eye is up", lambda: self.status["renderer"])
 
-    def print(self, text: str | bytes, name: str = "", from_pos: int = 0) -> Path:
-        """Begin to print, and wait until that is noticed; what was sent before is forgotten."""
+    def print(self, text: str | bytes, name: str = "", from_pos: int = 0, seen_as: Path | None = None) -> Path:
+        """Begin to print, and wait until that is noticed; what was sent before is forgotten.
+
+        seen_as : a file that lays the same at the same positions, where the webcam could not read this one
+        """
         self._prints += 1
         path = self.folder / (name or f"box_{self._prints}.gcode")
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        self.webcam.look_at(path)
+        self.webcam.look_at(seen_as or path)
         self._sent_from = len(self._sent_lines())
         name = self.server.upload(path, print=not from_pos)["files"]["local"]["name"]
         if from_pos:

@@ -11,6 +11,7 @@ import pytest
 import requests
 
 from octoprint_moop.host.api import MoopApi
+from octoprint_moop.host.api_jobs import MoopJobsApi
 from octoprint_moop.host.api_past import MoopPastApi
 from octoprint_moop.host.api_setup import MoopSetupApi
 from octoprint_moop.machine.recording import Recording
@@ -21,7 +22,7 @@ from .room import box_gcode, header
 def routes() -> list[tuple[str, str]]:
     """Every route that the plugin has, with something put in for its variables."""
     found = []
-    for mixin in (MoopApi, MoopSetupApi, MoopPastApi):
+    for mixin in (MoopApi, MoopJobsApi, MoopSetupApi, MoopPastApi):
         for member in vars(mixin).values():
             for rules in getattr(member, "_blueprint_rules", {}).values():
                 for rule, options in rules:

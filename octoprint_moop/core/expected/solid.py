@@ -7,6 +7,7 @@ G-code can be read.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -56,8 +57,23 @@ class Solid:
             triangles = np.concatenate([triangles[~long], *quarters])
         return triangles
 
-    def moved(self, by_mm: np.ndarray) -> Solid:
+    def moved(self, by_mm: np.ndarray | Sequence[float]) -> Solid:
         return replace(self, triangles_mm=self.triangles_mm + np.asarray(by_mm, dtype=np.float32))
+
+    def turned(self, by_deg: float) -> Solid:
+        """Counter-clockwise seen from above, about the middle of its bounds."""
+        if not by_deg:
+            return self
+        cos, sin = np.cos(np.radians(by_deg)), np.sin(np.radians(by_deg))
+        middle = self.bounds_mm().mean(axis=0) * [1, 1, 0]
+        turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # of row vectors
+        return replace(self, triangles_mm=((self.triangles_mm - middle) @ turn + middle).astype(np.float32))
+
+    def stl(self) -> bytes:
+        """The surface as a binary STL file."""
+        rows = np.zeros(len(self.triangles_mm), dtype=STL_TRIANGLE)
+        rows["corners"] = self.triangles_mm
+        return bytes(80) + len(rows).to_bytes(4, "little") + rows.tobytes()
 
     def placed_on(self, toolpath: Toolpath) -> Solid:
         """The same solid where the G-code prints it: as it is, where that is already so, else by the bounds.

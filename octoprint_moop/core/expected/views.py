@@ -191,13 +191,13 @@ class ExpectedViews:
         position_mm: tuple[float, float, float],
         before: int = 0,
         cancelled: Mapping[int, int] | None = None,
-        lag_beads: int = 0,
+        sure_pos: int | None = None,
         parked: bool = True,
     ) -> Expected:
         """What must be seen when everything up to `file_pos` is done and the machine stands at `position_mm`.
 
         cancelled : objects that were cancelled while printing: index -> file position from which on it is not printed
-        lag_beads : by so many beads the printer may be behind the file
+        sure_pos  : what ends after it may not be done yet, where the printer lags behind; None for no doubt
         parked    : False where the head stands over the print; then its volume is ignored
         Raises RenderError where drawing fails.
         """
@@ -206,7 +206,8 @@ class ExpectedViews:
         if not parked and self._head is not None:
             volume = self._head.mask(position_mm, self._bed, self._camera)
         birth = self._birth(self._drawing(position_mm, file_pos, cancelled, parked))
-        return Expected(birth, laid, before, lag_beads, self._blind, volume)
+        doubt = 0 if sure_pos is None else laid - self._toolpath.laid_at(sure_pos)
+        return Expected(birth, laid, before, doubt, self._blind, volume)
 
     def map_at(
         self,

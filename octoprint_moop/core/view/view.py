@@ -110,7 +110,7 @@ class View:
     def expected(self, moment: Moment, before: int = 0) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
         return self._expected.at(
-            moment.file_pos, moment.position_mm, before, self._cancelled(moment), parked=moment.parked
+            moment.file_pos, moment.position_mm, before, self._cancelled(moment), moment.sure_pos, moment.parked
         )
 
     def print_map(self, moment: Moment) -> PrintMap:
