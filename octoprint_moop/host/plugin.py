@@ -21,11 +21,8 @@ from ..machine.setups import Setups
 from ..machine.watch import Job, Watch
 from ..machine.webcam import Webcam, octoprint_webcam, webcam_name
 from .api import MoopApi
-<<<<<<< HEAD
 from .api_calibrations import MoopCalibrationsApi
-=======
 from .api_jobs import MoopJobsApi
->>>>>>> ca4e66c (mesh)
 from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
 
@@ -56,13 +53,9 @@ class MoopPlugin(
         self._setups, self._found = Calibrations(data / "setups.json"), Setups(data / "found.json")
         self._homing = Homing()
         self._lens_pictures: dict[int, bytes] = {}
-<<<<<<< HEAD
         self._pose_picture, self._pose_position_mm = b"", None
         self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
-=======
-        self._pose_picture, self._bench_lock = b"", threading.Lock()
         self._meshes, self._meshes_lock = Meshes(data / "meshes"), threading.Lock()
->>>>>>> ca4e66c (mesh)
         self._moop_settings = self._stored_settings()
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
         # Questions of the set-up never make a check wait, nor a replay a question: each has an eye of its own, born

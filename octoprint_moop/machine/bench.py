@@ -215,12 +215,8 @@ def replay(
 
 QUESTIONS = {
     question.__name__: question
-<<<<<<< HEAD
     for question in (
         *(segment, validate, printer, markers, board_picture, find_board, lens, pose, points, bed_motion, guides),
-        *(shrink, replay),
+        *(mesh, shrink, replay),
     )
-=======
-    for question in (segment, validate, printer, markers, board_picture, find_board, lens, pose, points, guides, mesh, replay)
->>>>>>> ca4e66c (mesh)
 }
