@@ -41,7 +41,7 @@ from octoprint_moop.core import inspection
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.gcode.read import read_gcode
-from octoprint_moop.core.view.light import Light
+from octoprint_moop.core.view.light import Light, LightChange
 from octoprint_moop.core.view.stabilise import Stabiliser
 from octoprint_moop.core.view.view import View
 from octoprint_moop.machine.pictures import decode
@@ -54,8 +54,10 @@ STEPS: tuple[tuple[Any, str, str], ...] = (
     (View, "steady", "usable, small pictures"),
     (Stabiliser, "turn", "camera's turn"),
     (Stabiliser, "undo", "turn taken out"),
-    (Light, "level", "light"),
+    (Light, "change", "light measured"),
+    (LightChange, "undone", "light undone"),
     (View, "expected", "expected"),
+    (View, "print_map", "expected"),
     (View, "observe", "segment"),
     (View, "occluded", "occluders"),
     (inspection, "compare", "E"),

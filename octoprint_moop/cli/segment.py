@@ -65,13 +65,13 @@ def _segment_recording(folder: Path, frame: str, distorted: bool, out: Path) -> 
     with open_renderer() as renderer:
         inspector = Inspector(opened.header, toolpath, renderer, reference_bgr=opened.reference())
         for moment in opened.moments:
-            inspector.pictures = None
             check = inspector.check(opened.frame(moment), moment)
             if moment.frame == frame:
                 break
-    if inspector.pictures is None:
+    pictures = inspector.pictures
+    if pictures is None:
         raise FrameError(f"{frame}: {check.reason}")
-    observed = inspector.pictures.observed
+    observed = pictures.observed
     write_png(out, observed if distorted else _undistorted(observed, opened.header.camera(last.camera)))
 
 

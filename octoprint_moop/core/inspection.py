@@ -14,17 +14,15 @@ from .decision.compare import Comparison, compare
 from .decision.course import Course, Look, Ruling
 from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import diagnose
-from .decision.evidence import Findings, Sight, find
+from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
 from .errors import FrameError, SegmentationError
 from .expected.hardware import HeadModel
 from .expected.views import Expected, MaskRenderer
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
-from .view.view import MOVED_PX, View, moved_sentence
+from .view.view import MOVED_PX, SteadyFrame, View, moved_sentence
 
-# what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
-TOLERANCE_PX = 2.0  # at up to 640 pixels across
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN = "Something stands in the view: a hand, or a tool?"
@@ -101,6 +99,19 @@ class Pictures:
 
 
 @dataclass(frozen=True, eq=False)
+class _Masks:
+    """What was compared: the window's masks in the picture's own size, (h, w) uint8, 0 or 255."""
+
+    observed: np.ndarray
+    expected: np.ndarray
+    ignored: np.ndarray
+
+    def pictures(self, steady: SteadyFrame) -> Pictures:
+        place = steady.window.placed
+        return Pictures(steady.picture(), place(self.observed), place(self.expected), place(self.ignored))
+
+
+@dataclass(frozen=True, eq=False)
 class _Seen:
     """A frame that can be judged, and what was found in it."""
 
@@ -129,9 +140,14 @@ class Inspector:
         self._courses: dict[str | None, Course] = {}
         self._seen: dict[str | None, _Seen] = {}
         self._good_checks: dict[str | None, int] = {}
-        self.pictures: Pictures | None = None
+        self._shown: Callable[[], Pictures] | None = None
         self.look: Look | None = None
         """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
+
+    @property
+    def pictures(self) -> Pictures | None:
+        """What the last check looked at; None where nothing could be compared. Made when asked for."""
+        return None if self._shown is None else self._shown()
 
     def take_reference(self, frame_bgr: np.ndarray, moment: Moment) -> bool:
         """Look at the bed just before anything lies on it; to be called before the first check.
@@ -167,6 +183,7 @@ class Inspector:
         Raises RenderError where the expected mask cannot be drawn.
         """
         began_s = time.perf_counter()
+        self._shown = None
         check = self._check(frame_bgr, moment)
         return replace(check, ms=(time.perf_counter() - began_s) * 1000)
 
@@ -190,22 +207,23 @@ class Inspector:
             return self._blind(Look(blind=UNUSABLE, reason=str(error)), course, moment, again)
         if steady.moved:
             return self._blind(Look(blind=CAMERA_MOVED, reason=steady.moved), course, moment, again)
-        expected = view.expected(moment)
-        seen = view.observe(steady, expected)
+        window, expected = steady.window, steady.expected
+        seen = view.observe(steady)
         observed = seen.mask
-        hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head, expected.complete)
+        hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
         doubtful = expected.head & cv2.bitwise_not(observed & expected.mask)
-        ignored = steady.outside | hidden | doubtful | seen.unsure | expected.ignored
-        comparison = compare(expected.mask, observed, expected.complete, ignored)
-        self.pictures = Pictures(steady.frame, observed, expected.mask, ignored)
+        ignored = steady.outside | window.from_small(hidden) | doubtful | seen.unsure | expected.ignored
+        masks = _Masks(window.enlarged(observed), steady.sharp.mask, window.enlarged(ignored))
+        comparison = compare(masks.expected, masks.observed, steady.sharp.complete, masks.ignored)
+        self._shown = lambda: masks.pictures(steady)
         blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
         if blocked:
             return self._blind(Look(comparison, UNUSABLE, blocked), course, moment, again)
         view.accept(steady)
         memory = view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
-        tolerance_px = TOLERANCE_PX * max(1.0, observed.shape[1] / 640)
+        tolerance_px = TOLERANCE_PX * max(1.0, window.size_px[0] / 640) / window.step
         sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
@@ -220,7 +238,7 @@ class Inspector:
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
-                view.learn(steady, expected, seen)
+                view.learn(steady, seen)
         names = {
             outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
             for outcome in ruling.outcomes

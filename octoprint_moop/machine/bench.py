@@ -199,10 +199,9 @@ def replay(
             header, road.toolpath, road.drawn_by(renderer), read_settings(settings), opened.reference()
         )
         for number, moment in enumerate(opened.moments):
-            inspector.pictures = None
             checks.append(inspector.check(opened.frame(moment), road.moment(moment)))
-            if inspector.pictures is not None:
-                pictures = inspector.pictures
+            pictures = inspector.pictures
+            if pictures is not None:
                 for kind, mask in (
                     ("seen", pictures.observed),
                     ("expected", pictures.expected),

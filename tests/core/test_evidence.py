@@ -155,6 +155,6 @@ def test_the_window_stays_in_the_picture():
 
 def test_a_bed_that_moves_carries_the_memory_along():
     stage = Stage().printed(12)
-    stage.memory.carried(np.array([[1, 0, 7.0], [0, 1, -3.0], [0, 0, 1]]))
+    stage.memory.carried(np.array([[1, 0, 7.0], [0, 1, -3.0], [0, 0, 1]]), SHAPE)
     there = (slice(0, SHAPE[0]), slice(0, SHAPE[1]))
     assert np.array_equal(stage.memory.standing(there), moved(walls(12), 7, -3))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.camera import BedMotion, Camera
+from octoprint_moop.core.view.glance import Glance
 from octoprint_moop.core.view.stabilise import STILL, Stabiliser
 
 SIZE = (640, 480)
@@ -54,7 +55,7 @@ def test_a_knock_is_measured_to_half_a_pixel_even_when_the_lamp_is_dimmed(camera
     rng = np.random.default_rng(4)
     reference = room(rng)
     rvec = np.array([0.9, -0.4, 0.25]) * turn_px / camera.K[0, 0]
-    found = stabiliser(camera, reference).turn(noisy(seen_by_turned(reference, camera, rvec), rng, 0.6), (0, 0, 0))
+    found = stabiliser(camera, reference).turn(Glance(noisy(seen_by_turned(reference, camera, rvec), rng, 0.6)), (0, 0, 0))
     assert np.abs(found.rvec - rvec).max() * camera.K[0, 0] < 0.5
     assert found.motion_px == pytest.approx(turn_px, rel=0.15, abs=0.5)
 
@@ -63,7 +64,7 @@ def test_a_camera_that_stands_still_is_never_said_to_have_moved(camera):
     rng = np.random.default_rng(5)
     reference = room(rng)
     watcher = stabiliser(camera, reference)
-    assert all(watcher.turn(noisy(reference, rng, gain), (0, 0, 0)) is STILL for gain in (0.4, 0.7, 1.0, 1.2))
+    assert all(watcher.turn(Glance(noisy(reference, rng, gain)), (0, 0, 0)) is STILL for gain in (0.4, 0.7, 1.0, 1.2))
 
 
 def test_a_hand_over_a_third_of_the_picture_is_not_taken_for_motion(camera):
@@ -71,7 +72,7 @@ def test_a_hand_over_a_third_of_the_picture_is_not_taken_for_motion(camera):
     reference = room(rng)
     frame = noisy(reference, rng)
     cv2.ellipse(frame, (180, 300), (170, 190), 20, 0, 360, (120, 150, 210), -1)
-    assert stabiliser(camera, reference).turn(frame, (0, 0, 0)) is STILL
+    assert stabiliser(camera, reference).turn(Glance(frame), (0, 0, 0)) is STILL
 
 
 def test_undoing_a_turn_gives_the_calibrated_view_back(camera):
@@ -80,7 +81,7 @@ def test_undoing_a_turn_gives_the_calibrated_view_back(camera):
     rvec = np.array([0.01, -0.006, 0.004])
     watcher = stabiliser(camera, reference)
     frame = seen_by_turned(reference, camera, rvec)
-    steady, outside = watcher.undo(frame, watcher.turn(frame, (0, 0, 0)))
+    steady, outside = watcher.undo(frame, watcher.turn(Glance(frame), (0, 0, 0)))
     inside = cv2.erode(cv2.bitwise_not(outside), np.ones((9, 9), np.uint8)) > 0
     before = np.abs(frame.astype(int) - reference)[inside].mean()
     after = np.abs(steady.astype(int) - reference)[inside].mean()
@@ -107,11 +108,11 @@ def test_a_knock_is_told_from_a_bed_that_the_machine_has_moved(camera):
 
     watcher = stabiliser(perfect, seen_at(200, np.zeros(3)), bed)
     turn = np.array([0.008, -0.005, 0.003])
-    found = watcher.turn(noisy(seen_at(185, turn), rng), (0, 185, 0))
+    found = watcher.turn(Glance(noisy(seen_at(185, turn), rng)), (0, 185, 0))
     assert np.abs(found.rvec - turn).max() * camera.K[0, 0] < 0.6
-    assert watcher.turn(noisy(seen_at(185, np.zeros(3)), rng), (0, 185, 0)) is STILL
+    assert watcher.turn(Glance(noisy(seen_at(185, np.zeros(3)), rng)), (0, 185, 0)) is STILL
 
 
 def test_a_picture_without_structure_claims_nothing(camera):
     plain = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
-    assert stabiliser(camera, plain).turn(plain + np.uint8(3), (0, 0, 0)) is STILL
+    assert stabiliser(camera, plain).turn(Glance(plain + np.uint8(3)), (0, 0, 0)) is STILL

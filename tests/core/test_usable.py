@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.errors import FrameError
+from octoprint_moop.core.view.glance import Glance
 from octoprint_moop.core.view.usable import Occluders, refuse_unusable
 
 
@@ -45,46 +46,50 @@ def test_a_picture_cut_off_in_transfer_is_torn(frame):
         refuse_unusable(frame, None)
 
 
+def small(picture: np.ndarray) -> np.ndarray:
+    return Glance(picture).quarter
+
+
 def test_a_hand_is_found_and_filament_is_not_taken_for_one(frame):
-    occluders = Occluders(frame)
+    occluders = Occluders(small(frame))
     with_hand = frame.copy()
     cv2.ellipse(with_hand, (500, 380), (90, 120), 30, 0, 360, (130, 160, 220), -1)
-    nothing = np.zeros(frame.shape[:2], np.uint8)
-    found = occluders.find(with_hand, nothing, nothing)
-    assert found[380, 500] == 255 and found[60, 60] == 0
+    nothing = np.zeros((120, 160), np.uint8)
+    found = occluders.find(small(with_hand), nothing, nothing)
+    assert found[95, 125] == 255 and found[15, 15] == 0
     as_filament = nothing.copy()
-    cv2.ellipse(as_filament, (500, 380), (90, 120), 30, 0, 360, 255, -1)
-    assert not occluders.find(with_hand, as_filament, nothing).any()
+    cv2.ellipse(as_filament, (125, 95), (23, 30), 30, 0, 360, 255, -1)
+    assert not occluders.find(small(with_hand), as_filament, nothing).any()
 
 
 def test_what_has_crept_in_slowly_and_was_accepted_hides_nothing(frame):
     """A gantry climbs a layer's height at a time: it differs from the reference, but not from the last good frame."""
-    occluders = Occluders(frame)
+    occluders = Occluders(small(frame))
     for top in range(200, 100, -1):
         climbing = frame.copy()
         climbing[top : top + 60] = (200, 200, 205)
         if top < 200:
-            nothing = np.zeros(frame.shape[:2], np.uint8)
-            assert not occluders.find(climbing, nothing, nothing).any()
-        occluders.accept(climbing)
+            nothing = np.zeros((120, 160), np.uint8)
+            assert not occluders.find(small(climbing), nothing, nothing).any()
+        occluders.accept(small(climbing))
 
 
 def test_a_hand_that_moves_on_keeps_hiding_the_view(frame):
-    occluders, nothing = Occluders(frame), np.zeros(frame.shape[:2], np.uint8)
+    occluders, nothing = Occluders(small(frame)), np.zeros((120, 160), np.uint8)
     for x in (500, 400, 300):
         with_hand = cv2.ellipse(frame.copy(), (x, 380), (90, 90), 0, 0, 360, (130, 160, 220), -1)
         cv2.ellipse(with_hand, (x, 380), (40, 20), x, 0, 360, (40, 60, 90), -1)
-        assert occluders.find(with_hand, nothing, nothing)[300, x] == 255
+        assert occluders.find(small(with_hand), nothing, nothing)[75, x // 4] == 255
 
 
 def test_what_stands_elsewhere_than_for_the_reference_and_stays_there_is_scenery(frame):
     """A gantry beside the print is scenery at the second look, a thing before the print's place only at the fourth."""
     changed = frame.copy()
     changed[40:120] = (180, 170, 60)
-    apart, before = np.zeros((2, *frame.shape[:2]), np.uint8)
-    apart[300:400, 200:400] = 255
-    before[100:400, 200:400] = 255
+    apart, before = np.zeros((2, 120, 160), np.uint8)
+    apart[75:100, 50:100] = 255
+    before[25:100, 50:100] = 255
     for place, looks in ((apart, 1), (before, 3)):
-        occluders = Occluders(frame)
-        found = [occluders.find(changed, np.zeros_like(place), place).any() for _ in range(5)]
+        occluders = Occluders(small(frame))
+        found = [occluders.find(small(changed), np.zeros_like(place), place).any() for _ in range(5)]
         assert found == [True] * looks + [False] * (5 - looks)

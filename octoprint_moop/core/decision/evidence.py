@@ -28,6 +28,8 @@ from ..expected.views import Expected, PrintMap
 from . import align
 from .memory import Memory, Window, about, placed, planes, register
 
+# what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
+TOLERANCE_PX = 2.0  # at up to 640 pixels across
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 SPECK_PX = 6
 RIM_PX = 1.0
@@ -55,6 +57,11 @@ class Sight:
     print_map: PrintMap
     layer: int
     tolerance_px: float
+
+    @property
+    def finer(self) -> float:
+        """A length in a picture 640 pixels across is so many times longer in this one."""
+        return max(1.0, self.tolerance_px / TOLERANCE_PX)
 
     @cached_property
     def look(self) -> np.ndarray:
@@ -147,7 +154,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     next shows whether it was the print.
     """
     window, before = findings.window, memory.alignment
-    finer = max(1.0, sight.observed.shape[1] / 640)
+    finer = sight.finer
     reach_px = int(MOVED_REACH_PX * finer)
     found = register(window, findings.wanted, sight.observed > 0, sight.ignored == 0, reach_px)
     if found is None or found.share < MOVED_SHARE:

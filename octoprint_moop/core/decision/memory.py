@@ -40,13 +40,17 @@ class Memory:
     they come in here. A `look` is what such a frame shows, as `planes` gives it.
     """
 
-    def __init__(self, reference_bgr: np.ndarray | None, shape: tuple[int, int]) -> None:
-        """`reference_bgr`: (H, W, 3) uint8, the bare bed in this pose; None where there is no picture of it."""
+    def __init__(
+        self, reference_bgr: np.ndarray | None, shape: tuple[int, int], known: np.ndarray | None = None
+    ) -> None:
+        """reference_bgr : (H, W, 3) uint8, the bare bed in this pose; None where there is no picture of it
+        known : (H, W) bool, where that picture shows it; None for everywhere
+        """
         self._matter = np.zeros(shape, np.float32)
         self._covered = np.zeros((3, *shape), np.uint8)
         self._bare = np.zeros_like(self._covered) if reference_bgr is None else planes(reference_bgr)
         self._has_covered = np.zeros(shape, bool)
-        self._has_bare = np.full(shape, reference_bgr is not None)
+        self._has_bare = np.full(shape, reference_bgr is not None) if known is None else known
         self._given_up = np.zeros(shape, bool)
         self._checks = self._crept = 0
         self.alignment = Alignment()
@@ -139,18 +143,19 @@ class Memory:
         """bool: matter that was missing when the user went on."""
         return self._given_up[window]
 
-    def carried(self, matrix: np.ndarray) -> None:
-        """The bed has moved: what a pixel showed is now seen elsewhere. matrix: (3, 3), new pixels from old ones."""
-        size = self._matter.shape[::-1]
+    def carried(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
+        """The bed or the view has moved: what a pixel showed is now seen elsewhere.
+
+        matrix : (3, 3), new pixels from old ones; shape : (height, width) of the new pictures
+        """
 
         def warp(picture: np.ndarray) -> np.ndarray:
-            return cv2.warpPerspective(picture, matrix, size, flags=cv2.INTER_LINEAR)
+            return cv2.warpPerspective(picture, matrix, shape[::-1], flags=cv2.INTER_LINEAR)
 
         self._matter = warp(self._matter)
-        for kept in (self._covered, self._bare):
-            kept[:] = [warp(plane) for plane in kept]
+        self._covered, self._bare = (np.stack([warp(plane) for plane in kept]) for kept in (self._covered, self._bare))
         for name in ("_has_covered", "_has_bare", "_given_up"):
-            setattr(self, name, warp(getattr(self, name).astype(np.uint8)) > 0)
+            setattr(self, name, warp(getattr(self, name).view(np.uint8)) > 0)
 
     def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray) -> None:
         """Before the first good checks: find the misfit anew, as far off as may be; later, now and then, a little of it.

@@ -93,6 +93,10 @@ class AdaptiveSegmenter:
         if not self._bed_moves:
             self._remember_plate(colours, filament, background)
 
+    def look_elsewhere(self) -> None:
+        """The pixels' past is forgotten, the colours are kept."""
+        self._plate = None
+
     def _not_the_bed(self, plate: Plate, colours: np.ndarray) -> np.ndarray:
         """(H, W) bool: False where the plate's background is seen unchanged."""
         return (plate.known >= 0) | (_distance(colours, plate.colours) > _CHANGED)

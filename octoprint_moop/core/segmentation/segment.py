@@ -170,6 +170,9 @@ class Segmenter(Protocol):
     def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Called with what `observe` gave, only after a check in which all was well."""
 
+    def look_elsewhere(self) -> None:
+        """From now on frames show another part of the view: what was learned of single pixels is of no use."""
+
 
 class ThresholdSegmenter:
     """The paper's equation 12 alone. Learns nothing, is never unsure."""
@@ -183,3 +186,6 @@ class ThresholdSegmenter:
 
     def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Nothing: the thresholds are the user's."""
+
+    def look_elsewhere(self) -> None:
+        """Nothing: it knows no pixel from another."""

@@ -12,56 +12,87 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-WORK_WIDTH_PX = 80
+WORK_WIDTH_PX = 40
 DARK, BRIGHT = 6.0, 245.0  # grey values outside of which a ratio says little
 NOTICEABLE = 0.04
 MIN_BACKGROUND_RATIO = 0.05
-REACH_PX = 8.0  # how far, in pixels of the work picture, light is taken to be alike
+REACH_PX = 4.0  # how far, in pixels of the work picture, light is taken to be alike
+MOST_GAIN = 8.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LightChange:
-    """brightness_ratio: how bright the background is against the reference; uneven: whether that varies over the view."""
+    """By how much the light of a frame differs from the reference's.
 
-    brightness_ratio: float
-    uneven: bool
+    brightness_ratio : how bright the background is against the reference
+    gain  : (3,) float32, what to multiply the channels by; None where there is nothing to do
+    field : (h, w, 3) float32, the same where that varies over the view, for the whole picture in small; else None
+    """
+
+    brightness_ratio: float = 1.0
+    gain: np.ndarray | None = None
+    field: np.ndarray | None = None
+
+    def undone(self, picture_bgr: np.ndarray, box: tuple[float, float, float, float] = (0, 0, 1, 1)) -> np.ndarray:
+        """The picture, (H, W, 3) uint8 BGR, in the reference's light.
+
+        box : the part of the view that it shows: left, top, right, bottom in parts of the whole
+        """
+        if self.gain is None:
+            return picture_bgr
+        if self.field is None:
+            levels = np.clip(np.arange(256)[:, None] * self.gain + 0.5, 0, 255).astype(np.uint8)
+            return cv2.LUT(picture_bgr, levels.reshape(256, 1, 3))
+        # in bytes, so that OpenCV multiplies many pixels at once: a gain to half a percent is as good as its measurement
+        unit = float(self.field.max()) / 255
+        coarse = np.round(self.field / unit).astype(np.uint8)
+        height, width = picture_bgr.shape[:2]
+        left, top, right, bottom = box
+        across, down = (right - left) * coarse.shape[1] / width, (bottom - top) * coarse.shape[0] / height
+        part = np.array([
+            [across, 0, (0.5 * across + left * coarse.shape[1]) - 0.5],
+            [0, down, (0.5 * down + top * coarse.shape[0]) - 0.5],
+        ])  # fmt: skip
+        field = cv2.warpAffine(
+            coarse, part, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+        )
+        return cv2.multiply(picture_bgr, field, scale=unit)
+
+
+UNCHANGED = LightChange()
 
 
 class Light:
-    """Levels frames to a reference. Frames and reference: (H, W, 3) uint8 BGR of one size."""
+    """Compares frames with a reference. Frames and reference: (H, W, 3) uint8 BGR of one view, large or small."""
 
     def __init__(self, reference_bgr: np.ndarray, exclude: np.ndarray) -> None:
-        """`exclude`: (H, W) uint8, 255 where the print is or will be."""
-        self._size_px = reference_bgr.shape[1::-1]
-        self._work_px = (WORK_WIDTH_PX, max(1, WORK_WIDTH_PX * self._size_px[1] // self._size_px[0]))
-        self._reference = self._small(reference_bgr)
-        covered = cv2.resize(
-            cv2.dilate(exclude, np.ones((9, 9), np.uint8)), self._work_px, interpolation=cv2.INTER_AREA
-        )
-        plain = (_least(self._reference) > DARK) & (_most(self._reference) < BRIGHT)
-        self._background = (covered == 0) & plain
+        """`exclude`: (H, W) uint8, over 0 where the print is or will be."""
+        height, width = reference_bgr.shape[:2]
+        self._work_px = (WORK_WIDTH_PX, max(1, WORK_WIDTH_PX * height // width))
+        reference = self._small(reference_bgr)
+        covered = cv2.resize(exclude, self._work_px, interpolation=cv2.INTER_AREA)
+        plain = (_least(reference) > DARK) & (_most(reference) < BRIGHT)
+        self._background = (cv2.dilate(covered, np.ones((3, 3), np.uint8)) == 0) & plain
+        self._log_reference = np.log(np.maximum(reference, 1.0))
 
-    def level(self, frame_bgr: np.ndarray) -> tuple[np.ndarray, LightChange]:
-        """The frame in the reference's light, (H, W, 3) uint8, and by how much that was changed."""
+    def change(self, frame_bgr: np.ndarray) -> LightChange:
         small = self._small(frame_bgr)
         known = self._background & (_most(small) < BRIGHT)
         if known.mean() < MIN_BACKGROUND_RATIO:
-            return frame_bgr, LightChange(1.0, False)
-        ratio = np.log(np.maximum(small, 1.0)) - np.log(np.maximum(self._reference, 1.0))
-        overall = np.median(ratio[known], axis=0).astype(np.float32)
+            return UNCHANGED
+        ratio = np.log(np.maximum(small, 1.0)) - self._log_reference
+        overall = _medians(ratio[known])
         # what moved in the background (a gantry, a hand) differs by far more than light does around it
-        steady = known & (_most(np.abs(ratio - overall)) < 0.7)
-        local = self._smooth(ratio - overall, steady)
+        rest = ratio - overall
+        steady = known & (_most(np.abs(rest)) < 0.7)
+        local = self._smooth(rest, steady)
         uneven = float(np.abs(local).max()) > NOTICEABLE
-        change = LightChange(float(np.exp(overall.mean())), uneven)
+        brightness_ratio = float(np.exp(overall.mean()))
         if not uneven and np.abs(overall).max() < NOTICEABLE:
-            return frame_bgr, change
-        gain = np.exp(-overall).astype(np.float32)
-        if not uneven:
-            levels = np.clip(np.arange(256)[:, None] * gain + 0.5, 0, 255).astype(np.uint8)
-            return cv2.LUT(frame_bgr, levels.reshape(256, 1, 3)), change
-        field = cv2.resize(gain * np.exp(-local).astype(np.float32), self._size_px, interpolation=cv2.INTER_LINEAR)
-        return cv2.multiply(frame_bgr, field, dtype=cv2.CV_8U), change
+            return LightChange(brightness_ratio)
+        gain = np.exp(-overall)
+        field = np.minimum(gain * np.exp(-local), MOST_GAIN).astype(np.float32) if uneven else None
+        return LightChange(brightness_ratio, gain, field)
 
     def gain(self, frame_bgr: np.ndarray) -> np.ndarray:
         """(3,) float32: by what to multiply the frame's channels, so that its light is the reference's on the whole."""
@@ -69,8 +100,7 @@ class Light:
         known = self._background & (_most(small) < BRIGHT)
         if known.mean() < MIN_BACKGROUND_RATIO:
             return np.ones(3, np.float32)
-        ratio = np.maximum(self._reference[known][::2], 1.0) / np.maximum(small[known][::2], 1.0)
-        return np.median(ratio, axis=0).astype(np.float32)
+        return np.exp(_medians(self._log_reference[known] - np.log(np.maximum(small[known], 1.0))))
 
     def _small(self, frame_bgr: np.ndarray) -> np.ndarray:
         return cv2.resize(frame_bgr, self._work_px, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -83,6 +113,11 @@ class Light:
         total = cv2.GaussianBlur(weight, (0, 0), REACH_PX) + 0.02
         carried = cv2.GaussianBlur((field * weight[..., None]).astype(np.float32), (0, 0), REACH_PX)
         return carried / total[..., None]
+
+
+def _medians(values: np.ndarray) -> np.ndarray:
+    """(3,) float32: of each column of (N, 3)."""
+    return np.median(np.ascontiguousarray(values.T), axis=1).astype(np.float32)
 
 
 def _most(picture: np.ndarray) -> np.ndarray:

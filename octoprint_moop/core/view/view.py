@@ -18,8 +18,11 @@ from ..segmentation.adaptive import AdaptiveSegmenter
 from ..segmentation.segment import HsvThresholds, Observation, Segmenter, ThresholdSegmenter
 from ..toolpath import Toolpath
 from .backdrop import Backdrop
+from .glance import Glance
+from .light import LightChange
 from .stabilise import STILL, CameraTurn, Stabiliser
 from .usable import refuse_unusable
+from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
@@ -28,22 +31,41 @@ MOST_HIDDEN_RATIO = 0.005  # of the print's surroundings, by the head in the pic
 
 @dataclass(frozen=True, eq=False)
 class SteadyFrame:
-    """A frame as the calibrated camera would have seen it, in the reference's light.
+    """A frame as the calibrated camera would have seen it, in the reference's light, in the view's window.
 
-    frame   : (H, W, 3) uint8 BGR
-    outside : (H, W) uint8, 255 where the turned camera did not look
-    moved   : the sentence for the user where the camera has just been moved, else ""
+    window   : which part of the picture, and in what size; all masks and pictures are of its shape
+    frame    : (h, w, 3) uint8 BGR
+    outside  : (h, w) uint8, 255 where the turned camera did not look
+    expected : what must be seen in the window; sharp : the same in the picture's own size
+    small    : `Glance.quarter` of the whole, steady and in the reference's light
+    moved    : the sentence for the user where the camera has just been moved, else ""
     """
 
+    window: Window
     frame: np.ndarray
     outside: np.ndarray
-    moved: str = ""
+    expected: Expected
+    sharp: Expected
+    small: np.ndarray
+    moved: str
+    _whole_bgr: np.ndarray
+    _stabiliser: Stabiliser
+    _turn: CameraTurn
+    _light: LightChange
+
+    def picture(self) -> np.ndarray:
+        """(H, W, 3) uint8 BGR: the whole frame."""
+        whole = self._whole_bgr
+        if self._turn is not STILL:
+            whole, _ = self._stabiliser.undo(whole, self._turn)
+        return self._light.undone(whole)
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """The print before this camera at one moment; see `diagnose.Place`."""
+    """The print before this camera at one moment; see `diagnose.Place`. Pixels are the window's."""
 
+    window: Window
     toolpath: Toolpath
     camera: Camera
     bed: BedMotion
@@ -56,11 +78,11 @@ class Place:
         beads = np.arange(first, max(end, first))
         if object_id >= 0:
             beads = beads[self.toolpath.object_id[first:end] == object_id]
-        return self.expected.covered_at(self.moment.position_mm, beads)
+        return self.window.sampled(self.expected.covered_at(self.moment.position_mm, beads))
 
     def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
         shift_mm = self.bed.room_from_print_mm(self.moment.position_mm)
-        rays_room = self.camera.rays(pixels) @ cv2.Rodrigues(self.camera.rvec)[0]
+        rays_room = self.camera.rays(self.window.in_picture(pixels)) @ cv2.Rodrigues(self.camera.rvec)[0]
         centre = self.camera.centre_mm
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (z_mm + shift_mm[2] - centre[2]) / rays_room[:, 2]
@@ -90,7 +112,9 @@ class View:
         self._backdrop: Backdrop | None = None
         self._segmenter: Segmenter
         self._memory: Memory | None = None
-        self._memory_position_mm = self._bare_position_mm
+        self._memory_at: tuple[tuple[float, ...], Window]  # the bed's pose and the window
+        self._window: Window | None = None
+        self._window_for: np.ndarray | None = None  # the birth map for which the window was last found good
 
     def take_reference(self, frame_bgr: np.ndarray, moment: Moment) -> bool:
         """Take this picture, of the bed before anything lies on it, for the reference; before the first frame only.
@@ -114,8 +138,11 @@ class View:
         )
 
     def print_map(self, moment: Moment) -> PrintMap:
-        """Raises RenderError where drawing fails."""
-        return self._expected.map_at(moment.position_mm, moment.file_pos, self._cancelled(moment), parked=moment.parked)
+        """Layers and objects in the window. Raises RenderError where drawing fails."""
+        whole = self._expected.map_at(
+            moment.position_mm, moment.file_pos, self._cancelled(moment), parked=moment.parked
+        )
+        return self._window_at(self.expected(moment)).print_map(whole)
 
     def _cancelled(self, moment: Moment) -> dict[int, int]:
         """By the objects' numbers; a name that the file does not know is passed over."""
@@ -123,17 +150,29 @@ class View:
         return {number: named[name] for number, name in enumerate(self._toolpath.objects) if name in named}
 
     def memory(self, moment: Moment) -> Memory:
-        """What the pixels have shown so far, carried along where the bed has moved since."""
+        """What the window's pixels have shown so far, carried along where the bed or the window has moved since."""
+        window, pose = self._window_at(self.expected(moment)), self._expected.pose(moment.position_mm)
         if self._memory is None:
-            self._memory = Memory(self._bare_bgr, self._camera.image_size_px[::-1])
-            self._memory_position_mm = (
-                self._bare_position_mm if self._bare_bgr is not None else moment.position_mm
-            )
-        here, before = self._expected.pose(moment.position_mm), self._expected.pose(self._memory_position_mm)
-        if here != before:
-            self._memory.carried(self._print_motion(np.array(before), np.array(here)))
-        self._memory_position_mm = moment.position_mm
+            self._memory = self._first_memory(window, pose)
+        elif (pose, window) != self._memory_at:
+            pose_before, window_before = self._memory_at
+            motion = self._print_motion(np.array(pose_before), np.array(pose))
+            from_window = np.linalg.inv(window_before.from_picture)
+            self._memory.carried(window.from_picture @ motion @ from_window, window.shape)
+        self._memory_at = pose, window
         return self._memory
+
+    def _first_memory(self, window: Window, pose: tuple[float, ...]) -> Memory:
+        """With what the empty bed looks like, where there is a picture of it."""
+        if self._bare_bgr is None:
+            return Memory(None, window.shape)
+        bare_pose = self._expected.pose(self._bare_position_mm)
+        if bare_pose == pose:
+            return Memory(window.of(self._bare_bgr), window.shape)
+        motion = window.from_picture @ self._print_motion(np.array(bare_pose), np.array(pose))
+        size_px = window.shape[::-1]
+        known = cv2.warpPerspective(np.full(self._bare_bgr.shape[:2], 255, np.uint8), motion, size_px) > 0
+        return Memory(cv2.warpPerspective(self._bare_bgr, motion, size_px), window.shape, known)
 
     def _print_motion(self, before_mm: np.ndarray, now_mm: np.ndarray) -> np.ndarray:
         """(3, 3): about where pixels of the print have gone as the bed moved. Exact for none but close for all of it."""
@@ -147,60 +186,86 @@ class View:
 
     def place(self, moment: Moment) -> Place:
         """Where things lie at that moment, for a diagnosis."""
-        return Place(self._toolpath, self._camera, self._printer.bed, self._expected, moment)
+        window = self._window_at(self.expected(moment))
+        return Place(window, self._toolpath, self._camera, self._printer.bed, self._expected, moment)
 
     def steady(self, frame_bgr: np.ndarray, moment: Moment) -> SteadyFrame:
         """Raises FrameError with the reason where the frame cannot be used."""
-        frame_bgr = fit_frame(frame_bgr, self._camera)
-        refuse_unusable(frame_bgr, self._previous_bgr)
-        self._previous_bgr = frame_bgr
-        backdrop = self._backdrop_at(frame_bgr, moment)
-        turn = backdrop.stabiliser.turn(frame_bgr, moment.position_mm)
-        moved = self._notice(turn, backdrop.stabiliser)
-        outside = np.zeros(frame_bgr.shape[:2], np.uint8)
-        if turn is not STILL:
-            frame_bgr, outside = backdrop.stabiliser.undo(frame_bgr, turn)
-        frame_bgr, _ = backdrop.light.level(frame_bgr)
-        return SteadyFrame(frame_bgr, outside, moved)
+        whole_bgr = fit_frame(frame_bgr, self._camera)
+        glance = Glance(whole_bgr)
+        refuse_unusable(whole_bgr, self._previous_bgr, glance)
+        self._previous_bgr = whole_bgr
+        expected = self.expected(moment)
+        window = self._window_at(expected)
+        backdrop = self._backdrop_at(whole_bgr, moment, expected)
+        stabiliser = backdrop.stabiliser
+        turn = stabiliser.turn(glance, moment.position_mm, self._turn)
+        moved = self._notice(turn, stabiliser)
+        if turn is STILL:
+            part, small, outside = window.of(whole_bgr), glance.quarter, np.zeros(window.shape, np.uint8)
+        else:
+            part, outside = (window.resized(one) for one in stabiliser.undo(whole_bgr, turn, window.part))
+            small, _ = stabiliser.undo(glance.quarter, turn)
+        light = backdrop.light.change(small)
+        near, sharp = window.expected(expected), window.expected(expected, sharp=True)
+        return SteadyFrame(
+            window, light.undone(part, window.box), outside, near, near if window.step == 1 else sharp,
+            light.undone(small), moved, whole_bgr, stabiliser, turn, light,
+        )  # fmt: skip
 
-    def observe(self, steady: SteadyFrame, expected: Expected) -> Observation:
+    def observe(self, steady: SteadyFrame) -> Observation:
         """Which pixels of a frame from `steady` are filament."""
-        return self._segmenter.observe(steady.frame, expected)
+        return self._segmenter.observe(steady.frame, steady.expected)
 
-    def learn(self, steady: SteadyFrame, expected: Expected, seen: Observation) -> None:
+    def learn(self, steady: SteadyFrame, seen: Observation) -> None:
         """All is well in this frame: so look filament and background in this print."""
-        self._segmenter.learn(steady.frame, expected, seen)
+        self._segmenter.learn(steady.frame, steady.expected, seen)
 
-    def occluded(self, steady: SteadyFrame, filament: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """(H, W) uint8, 255 where something newly hides the view; filament and place as for `Occluders.find`."""
+    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
+        """(h, w) uint8, of the size of `SteadyFrame.small`, 255 where something newly hides the view.
+
+        filament : (h, w) uint8, 255 where filament is or may be in the window
+        """
         assert self._backdrop is not None
-        return self._backdrop.occluders.find(steady.frame, filament | self._backdrop.unknown, place)
+        known, place = self._backdrop.unknown.copy(), np.zeros_like(self._backdrop.unknown)
+        steady.window.in_small(filament, known)
+        steady.window.in_small(steady.expected.complete, place)
+        return self._backdrop.occluders.find(steady.small, known, place)
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
         assert self._backdrop is not None
-        self._backdrop.occluders.accept(steady.frame)
+        self._backdrop.occluders.accept(steady.small)
 
-    def _backdrop_at(self, frame_bgr: np.ndarray, moment: Moment) -> Backdrop:
+    def _window_at(self, expected: Expected) -> Window:
+        """The window stays where it is for as long as the print fits well."""
+        if self._window is None:
+            self._window = Window.about(expected.complete)
+        elif expected.birth is not self._window_for and not self._window.holds(expected.complete):
+            self._window = Window.about(expected.complete)
+            self._segmenter.look_elsewhere()
+        self._window_for = expected.birth
+        return self._window
+
+    def _backdrop_at(self, frame_bgr: np.ndarray, moment: Moment, expected: Expected) -> Backdrop:
         """Without a picture of the empty bed the first frame serves: the print is left out of it anyway."""
-        exclude = self.expected(moment).complete
         if self._backdrop is None:
             if self._bare_bgr is None:
                 reference_bgr, position_mm = frame_bgr, moment.position_mm
             else:
                 reference_bgr, position_mm = self._bare_bgr, self._bare_position_mm
-            self._backdrop = Backdrop(self._camera, self._printer, reference_bgr, position_mm, exclude)
-            self._backdrop.follow(moment.position_mm, exclude)
-            self._segmenter = self._choose_segmenter(moment, self._backdrop)
-        self._backdrop.follow(moment.position_mm, exclude)
+            self._backdrop = Backdrop(self._camera, self._printer, reference_bgr, position_mm, expected)
+            self._backdrop.follow(moment.position_mm, expected)
+            self._segmenter = self._choose_segmenter(moment, self._backdrop, self._window_at(expected))
+        self._backdrop.follow(moment.position_mm, expected)
         return self._backdrop
 
-    def _choose_segmenter(self, moment: Moment, backdrop: Backdrop) -> Segmenter:
+    def _choose_segmenter(self, moment: Moment, backdrop: Backdrop, window: Window) -> Segmenter:
         if self._segmentation == "thresholds" and self._material is not None:
             return ThresholdSegmenter(self._material)
         kind = self._printer.bed.kind
         moves = kind == "z" or (kind == "y" and not moment.parked)
-        bare_bgr = None if moves or self._bare_bgr is None else backdrop.picture
+        bare_bgr = None if moves or self._bare_bgr is None else window.of(backdrop.picture())
         return AdaptiveSegmenter(self._material, bare_bgr, bed_moves=moves)
 
     def _notice(self, turn: CameraTurn, stabiliser: Stabiliser) -> str:
