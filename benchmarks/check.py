@@ -34,8 +34,7 @@ os.environ.setdefault("LP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from octoprint_moop.core import inspection
 from octoprint_moop.core.camera import Camera
@@ -48,6 +47,7 @@ from octoprint_moop.machine.pictures import decode
 from octoprint_moop.machine.recording import Recording
 from octoprint_moop.machine.renderers import open_renderer
 
+ROOT = Path(__file__).resolve().parents[1]
 LARGE_PX = (1920, 1080)
 NOISE_SIGMA, JPEG_QUALITY = 2.5, 85
 STEPS: tuple[tuple[Any, str, str], ...] = (

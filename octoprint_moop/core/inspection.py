@@ -229,7 +229,8 @@ class Inspector:
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
         if findings.moved_px > MOVED_PX * tolerance_px / TOLERANCE_PX:
-            return self._blind(Look(comparison, CAMERA_MOVED, moved_sentence(findings.moved_px)), course, moment, again)
+            sentence = moved_sentence(findings.moved_px * window.step)
+            return self._blind(Look(comparison, CAMERA_MOVED, sentence), course, moment, again)
         self._seen[moment.camera] = _Seen(view, moment, findings)
         look = Look(comparison, scopes=findings.scopes)
         ruling = course.rule(look, again)

@@ -55,7 +55,9 @@ def test_a_knock_is_measured_to_half_a_pixel_even_when_the_lamp_is_dimmed(camera
     rng = np.random.default_rng(4)
     reference = room(rng)
     rvec = np.array([0.9, -0.4, 0.25]) * turn_px / camera.K[0, 0]
-    found = stabiliser(camera, reference).turn(Glance(noisy(seen_by_turned(reference, camera, rvec), rng, 0.6)), (0, 0, 0))
+    found = stabiliser(camera, reference).turn(
+        Glance(noisy(seen_by_turned(reference, camera, rvec), rng, 0.6)), (0, 0, 0)
+    )
     assert np.abs(found.rvec - rvec).max() * camera.K[0, 0] < 0.5
     assert found.motion_px == pytest.approx(turn_px, rel=0.15, abs=0.5)
 

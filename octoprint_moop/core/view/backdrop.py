@@ -58,7 +58,7 @@ class Backdrop:
         self.unknown = cv2.bitwise_not(known)
         height, width = known.shape
         print_px = cv2.resize(expected.complete, (width, height), interpolation=cv2.INTER_AREA)
-        self.light = Light(small_bgr, print_px | self.unknown)
+        self.light = Light(small_bgr, cv2.bitwise_or(print_px, self.unknown))
         self.occluders.refer_to(small_bgr)
         self._shown_mm = shift_mm
 

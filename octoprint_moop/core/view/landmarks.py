@@ -31,9 +31,7 @@ class Level:
     normal: np.ndarray  # (n, 2) float32, its direction
 
     def thinned(self, few: slice) -> Level:
-        return Level(
-            self.scale, self.rays[few], self.on_bed_mm[few], self.grey[few], self.slope[few], self.normal[few]
-        )
+        return Level(self.scale, self.rays[few], self.on_bed_mm[few], self.grey[few], self.slope[few], self.normal[few])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +59,8 @@ class Relief:
         height, width = self.height.shape
         flat = pixels.reshape(-1, 2)
         inside = (flat > 0).all(axis=1) & (flat[:, 0] < width - 1) & (flat[:, 1] < height - 1)
-        seen = cv2.remap(self.height, flat[:, :1], flat[:, 1:], cv2.INTER_LINEAR).ravel() * np.float32(1 / self.contrast)
+        seen = cv2.remap(self.height, flat[:, :1], flat[:, 1:], cv2.INTER_LINEAR).ravel()
+        seen *= np.float32(1 / self.contrast)
         np.clip(seen, -MOST_CONTRAST, MOST_CONTRAST, out=seen)
         return seen.reshape(pixels.shape[:-1]), inside.reshape(pixels.shape[:-1])
 

@@ -53,9 +53,8 @@ class LightChange:
             [across, 0, (0.5 * across + left * coarse.shape[1]) - 0.5],
             [0, down, (0.5 * down + top * coarse.shape[0]) - 0.5],
         ])  # fmt: skip
-        field = cv2.warpAffine(
-            coarse, part, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
-        )
+        smooth = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        field = cv2.warpAffine(coarse, part, (width, height), flags=smooth, borderMode=cv2.BORDER_REPLICATE)
         return cv2.multiply(picture_bgr, field, scale=unit)
 
 

@@ -74,7 +74,11 @@ class Window:
         """(3, 3): the window's pixels from the picture's, homogeneous."""
         middle = (1 - self.step) / 2 / self.step
         return np.array(
-            [[1 / self.step, 0, middle - self.x0 / self.step], [0, 1 / self.step, middle - self.y0 / self.step], [0, 0, 1]]
+            [
+                [1 / self.step, 0, middle - self.x0 / self.step],
+                [0, 1 / self.step, middle - self.y0 / self.step],
+                [0, 0, 1],
+            ]
         )
 
     def in_picture(self, pixels: np.ndarray) -> np.ndarray:
