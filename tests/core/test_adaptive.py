@@ -129,3 +129,21 @@ def test_a_camera_without_colour_is_served_by_brightness_alone():
 def test_the_same_frames_give_the_same_answer():
     answers = [watched(AdaptiveSegmenter(None, bed()), 4).observe(bed(), expected(4)).mask for _ in range(2)]
     assert np.array_equal(*answers)
+
+
+@pytest.mark.parametrize("on", [(120, 125, 118), (150, 150, 150)])
+def test_thresholds_that_fit_the_bed_as_well_do_not_blind_it_to_a_black_print(on):
+    """Black has no hue, so all that can be picked for it is any hue and a small value; and the machine is black, too."""
+    black = (38, 36, 38)
+
+    def with_machine(frame: np.ndarray) -> np.ndarray:
+        frame[:24] = frame[:24] // 3
+        return frame
+
+    segmenter = AdaptiveSegmenter(HsvThresholds(0, 360, 0.0, 0.1), with_machine(bed(on)))
+    for layer in range(3, 7):
+        truth = expected(layer)
+        frame = with_machine(printed(truth.mask, black, layer, on))
+        seen = segmenter.observe(frame, truth)
+        assert iou(seen.mask, truth.mask) > 0.9
+        segmenter.learn(frame, truth, seen)

@@ -12,6 +12,7 @@ from .weigh import Look, weigh
 
 _BAND_PX = 2000.0  # how many pixels the user's thresholds count for: soon outweighed by what is really seen
 _MEMORY_PX = 200_000.0  # counts are scaled down beyond this, so that the colours follow the light of the day
+_TELLING = 0.2  # thresholds that more of the bed's pixels than this keep to do not tell filament from it
 _CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
 _FRINGE = 10.0
 _INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
@@ -20,9 +21,9 @@ _INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, a
 class AdaptiveSegmenter:
     """Filament by this print's own colours and each pixel's own past; frames must come from one camera.
 
-    Begins with the user's thresholds; where there are none, with what differs from the empty bed where the first layers
-    must lie. It never learns that air is filament: a pixel teaches "filament" only where material must lie *and* the
-    frame shows it there.
+    Begins with the user's thresholds; where there are none, or the empty bed keeps to them as well (a black filament has no
+    hue of its own), with what differs from the empty bed where the first layers must lie. It never learns that air is
+    filament: a pixel teaches "filament" only where material must lie *and* the frame shows it there.
     """
 
     def __init__(
@@ -38,12 +39,15 @@ class AdaptiveSegmenter:
         self._bed_moves = bed_moves
         colours = None if reference_bgr is None else opponent(reference_bgr)
         self._filament: np.ndarray | None = None
+        self._thresholds: np.ndarray | None = None
         self._background = np.zeros(every_colour().shape[1])
-        if material is not None:
-            band = segment_hsv(every_colour(), material)[0] > 0
-            self._filament = band * (_BAND_PX / max(int(band.sum()), 1))
         if colours is not None:
             self._background = count_colours(colours, np.ones(colours.shape[:2], bool))
+        if material is not None:
+            band = segment_hsv(every_colour(), material)[0] > 0
+            self._thresholds = band * (_BAND_PX / max(int(band.sum()), 1))
+            if self._background[band].sum() <= _TELLING * self._background.sum():
+                self._filament = self._thresholds
         self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
         self._model: ColourModel | None = None
         self._separability = 1.0
@@ -115,8 +119,8 @@ class AdaptiveSegmenter:
         """The colours learned; before any, those of this frame: matter where it must lie and the bed does not show."""
         if frame_bgr is None or expected is None or (self._filament is not None and self._background.any()):
             if self._model is None:
-                known = np.zeros_like(self._background) if self._filament is None else self._filament
-                self._model = ColourModel(known, self._background)
+                known = self._thresholds if self._filament is None else self._filament
+                self._model = ColourModel(np.zeros_like(self._background) if known is None else known, self._background)
             return self._model
         colours, background = opponent(frame_bgr), self._background
         filament = self._filament
