@@ -10,6 +10,8 @@ from typing import Any, Callable
 import cv2
 import numpy as np
 
+from .calibration.selfcheck import Fit
+from .camera import Camera
 from .decision.compare import Comparison, compare
 from .decision.course import Course, Look, Ruling
 from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
@@ -41,6 +43,7 @@ class Check:
     reason: str = ""
     objects: tuple[dict[str, Any], ...] = ()
     ms: float = 0.0
+    fit: Fit | None = None
 
     @classmethod
     def of(cls, moment: Moment, look: Look, ruling: Ruling | None, objects: Sequence[str]) -> Check:
@@ -84,6 +87,8 @@ class Check:
             "reason": self.reason,
             "objects": list(self.objects),
             "limit": None if self.limit is None else round(self.limit, 6),
+            "calibration_error_px": None if self.fit is None else round(self.fit.error_px, 2),
+            "calibration": "" if self.fit is None else self.fit.told,
             "ms": round(self.ms, 2),
         }
 
@@ -177,6 +182,10 @@ class Inspector:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
         return self._view(moment).expected(moment)
 
+    def camera(self, moment: Moment) -> Camera:
+        """The camera of that moment as this print has shown it to stand: the header's, corrected where that was safe."""
+        return self._view(moment).selfcheck.camera
+
     def check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
         """Compare one frame with what must be seen. A frame that cannot be used is a verdict, not an error.
 
@@ -185,7 +194,7 @@ class Inspector:
         began_s = time.perf_counter()
         self._shown = None
         check = self._check(frame_bgr, moment)
-        return replace(check, ms=(time.perf_counter() - began_s) * 1000)
+        return replace(check, ms=(time.perf_counter() - began_s) * 1000, fit=self._view(moment).selfcheck.fit)
 
     def confirm(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
         """A second look at what the last check judged: another frame of the same print in the same hold.
@@ -223,12 +232,13 @@ class Inspector:
         view.accept(steady)
         memory = view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
-        tolerance_px = TOLERANCE_PX * max(1.0, window.size_px[0] / 640) / window.step
+        finer = max(1.0, window.size_px[0] / 640)
+        tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer) / window.step
         sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
-        if findings.moved_px > MOVED_PX * tolerance_px / TOLERANCE_PX:
+        if findings.moved_px > MOVED_PX * finer / window.step:
             sentence = moved_sentence(findings.moved_px * window.step)
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), course, moment, again)
         self._seen[moment.camera] = _Seen(view, moment, findings)
@@ -240,6 +250,7 @@ class Inspector:
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
                 view.learn(steady, seen)
+            view.check_calibration(moment, steady, masks.observed, masks.ignored)
         names = {
             outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
             for outcome in ruling.outcomes

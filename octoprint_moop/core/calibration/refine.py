@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,29 +16,34 @@ from ..camera import Camera
 from ..errors import CameraError
 from ..expected.views import Expected
 from ..toolpath import Toolpath
-from .calibrate import Lens
-from .fit import least_squares
+from .fit import numeric_slopes
 
 _REACH_PX = 10.0
+_WIDE_PX = 5
 _STEPS = np.array([1e-4] * 3 + [0.02] * 3)
-_TURN_SPREAD, _SHIFT_SPREAD_MM = 0.01, 3.0  # radians and mm by which a camera is usually off
+_TURN_SPREAD, _SHIFT_SPREAD_MM = 0.01, 2.0  # radians and mm by which a camera is usually off
+_EDGE_SPREAD_PX, _ALONG_EDGE = 0.4, 20.0  # of an edge point; how many neighbouring ones share their error
+_OUTLIER_PX = 1.0
+_FEWEST_LAYERS = 3
 _MOST_POINTS = 300  # of one view
 _LEAST_POINTS = 40
 _LEAST_MATCHED = 0.7  # of the expected edge that must be seen nearby
 _WORST_LEFT_PX = 1.2
-_WORTHWHILE_PX = 0.3
+_WORTHWHILE_PX, _UNEVEN = 0.15, 0.1
 _FARTHEST_PX = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteView:
     """One check of a print that was judged well. `observed`: (H, W) uint8 mask in the camera's own pixels;
-    `ignored`: the same, non-zero where nothing may be concluded, or None; room_from_print_mm as in BedMotion."""
+    `ignored`: the same, non-zero where nothing may be concluded, or None; room_from_print_mm as in BedMotion.
+    corner_px : (x, y) in the camera's picture of the masks' first pixel"""
 
     expected: Expected
     observed: np.ndarray
     room_from_print_mm: np.ndarray
     ignored: np.ndarray | None = None
+    corner_px: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,98 +60,98 @@ class Refinement:
     matched_ratio: float
     camera: Camera | None
     why: str
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "off_px": round(self.off_px, 3), "left_px": round(self.left_px, 3),
-            "matched_ratio": round(self.matched_ratio, 3), "why": self.why,
-            "camera": None if self.camera is None else self.camera.to_json(),
-        }  # fmt: skip
+    moved_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Edges:
-    points_mm: np.ndarray  # (N, 3) in the room, on the bead that makes the edge
-    at_px: np.ndarray  # (N, 2) expected edge
-    normal: np.ndarray  # (N, 2) outwards
-    off_px: np.ndarray  # (N,) observed edge along the normal
+class SilhouetteEdges:
+    """points_mm (N, 3) in the room, on the beads that make the edge; normal (N, 2), outwards in the picture; off_px (N,)
+    observed edge from the expected one along it. matched_ratio : part of the expected edge for which one was found."""
+
+    points_mm: np.ndarray
+    normal: np.ndarray
+    off_px: np.ndarray
+    matched_ratio: float
 
 
-def refine_camera(camera: Camera, toolpath: Toolpath, views: Sequence[SilhouetteView]) -> Refinement:
-    """How far `camera` is off by these views (of one camera, at several layers), and a better one where that is safe.
+def refine_camera(camera: Camera, layers: Sequence[SilhouetteEdges]) -> Refinement:
+    """How far `camera` is off by these edges (of one camera, at several layers), and a better one where that is safe.
 
-    Safe means: at least three views, most of each expected edge seen nearby, the rest after the move small, and each
-    view bettered by a move that was found without it. A print that bends, lies elsewhere or lacks matter fails that.
+    Safe means: at least three layers, most of each expected edge seen nearby, the rest after the move small, and each
+    layer bettered by a move that was found without it. A print that bends, lies elsewhere or lacks matter fails that.
     """
-    measured = [_measure(camera, toolpath, view) for view in views]
-    matched_ratio = float(np.mean([ratio for _, ratio in measured])) if measured else 0.0
-    edges = [edge for edge, ratio in measured if edge is not None and ratio >= _LEAST_MATCHED]
-    if not edges:
+    matched_ratio = float(np.mean([edges.matched_ratio for edges in layers])) if layers else 0.0
+    good = [edges for edges in layers if edges.matched_ratio >= _LEAST_MATCHED and len(edges.off_px) >= _LEAST_POINTS]
+    if not good:
         return Refinement(float("nan"), float("nan"), matched_ratio, None,
                           "Too little of the print's edge was seen to judge the calibration by.")  # fmt: skip
-    off_px = _rms([_unexplained(camera, camera, edge) for edge in edges])
-    if len(edges) < 3:
+    off_px = _rms([_unexplained(camera, camera, edges) for edges in good])
+    if len(good) < _FEWEST_LAYERS:
         return Refinement(off_px, off_px, matched_ratio, None,
-                          f"{len(edges)} layers can be judged by; three are needed to better the camera.")  # fmt: skip
-    better = _fit(camera, edges)
+                          f"{len(good)} layers can be judged by; three are needed to better the camera.")  # fmt: skip
+    better = _fit(camera, good)
     if better is None:
         return Refinement(off_px, off_px, matched_ratio, None, "No nearby camera fits the print's edges better.")
-    left_px = _rms([_unexplained(camera, better, edge) for edge in edges])
-    why = _unsafe(camera, better, edges, off_px, left_px)
+    left_px = _rms([_unexplained(camera, better, edges) for edges in good])
+    why = _unsafe(camera, better, good, off_px, left_px)
     if why:
-        return Refinement(off_px, left_px, matched_ratio, None, why)
-    why = f"The camera was {off_px:.1f} px off by {len(edges)} layers; corrected, {left_px:.1f} px are left."
-    return Refinement(off_px, left_px, matched_ratio, better, why)
+        return Refinement(off_px, min(left_px, off_px), matched_ratio, None, why)
+    moved_px = float(np.sqrt(np.mean(_apart_px(camera, better, good) ** 2)))
+    why = f"The camera was {moved_px:.1f} px off by {len(good)} layers; corrected, {left_px:.1f} px are left."
+    return Refinement(off_px, left_px, matched_ratio, better, why, moved_px)
 
 
-def _unsafe(camera: Camera, better: Camera, edges: list[_Edges], off_px: float, left_px: float) -> str:
+def _unsafe(camera: Camera, better: Camera, layers: list[SilhouetteEdges], off_px: float, left_px: float) -> str:
     """Why the better camera must not be taken, or ""."""
-    if off_px - left_px < _WORTHWHILE_PX:
+    # A mask that is wide all round is not equally wide everywhere.
+    wide_px = abs(float(np.median([np.median(edges.off_px) for edges in layers])))
+    if off_px - left_px < _WORTHWHILE_PX + _UNEVEN * wide_px:
         return f"The calibration fits the print to {off_px:.1f} px; a correction would gain {off_px - left_px:.1f} px."
     if left_px > _WORST_LEFT_PX:
         return (
             f"The print's edges are {off_px:.1f} px off, and {left_px:.1f} px even with the best camera: that is not "
             "the calibration alone. Look at the print, the filament's colour and the bed's motion."
         )
-    moved_px = np.linalg.norm(better.project(edges[0].points_mm) - camera.project(edges[0].points_mm), axis=1).max()
+    moved_px = _apart_px(camera, better, layers).max()
     if not moved_px < _FARTHEST_PX:
         return f"The camera seems to be {moved_px:.0f} px off, too far to correct unasked. Calibrate the pose again."
-    for left_out in range(len(edges)):
-        without = _fit(camera, edges[:left_out] + edges[left_out + 1 :])
-        before_px = _rms([_unexplained(camera, camera, edges[left_out])])
-        if without is None or _rms([_unexplained(camera, without, edges[left_out])]) > before_px:
+    for left_out in range(len(layers)):
+        without = _fit(camera, layers[:left_out] + layers[left_out + 1 :])
+        before_px = _rms([_unexplained(camera, camera, layers[left_out])])
+        if without is None or _rms([_unexplained(camera, without, layers[left_out])]) > before_px:
             return "The layers do not agree on how the camera is off, so it is left as it is."
     return ""
 
 
-def _measure(camera: Camera, toolpath: Toolpath, view: SilhouetteView) -> tuple[_Edges | None, float]:
-    """The expected edge with what was observed along its normals, and which part of it was matched."""
-    mask = view.expected.mask
+def silhouette_edges(camera: Camera, toolpath: Toolpath, view: SilhouetteView) -> SilhouetteEdges:
+    """The expected edge of one view, with what was observed along its normals. `camera`: the one of the view."""
+    # Skirts and lone lines of a bead's width are seen or not as the light falls, and frame all the rest.
+    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_WIDE_PX, _WIDE_PX))
+    mask, observed = (cv2.morphologyEx(m, cv2.MORPH_OPEN, wide) for m in (view.expected.mask, view.observed))
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     pixels = np.vstack([contour.reshape(-1, 2) for contour in contours]) if contours else np.empty((0, 2), int)
     height, width = mask.shape
     inside = ((pixels > 2) & (pixels < [width - 3, height - 3])).all(axis=1)
     if view.ignored is not None:
-        wide = cv2.dilate(view.ignored, np.ones((7, 7), np.uint8))
-        inside &= wide[pixels[:, 1], pixels[:, 0]] == 0
+        near = cv2.dilate(view.ignored, np.ones((3, 3), np.uint8))
+        inside &= near[pixels[:, 1], pixels[:, 0]] == 0
     pixels = pixels[inside]
     if len(pixels) < _LEAST_POINTS:
-        return None, 0.0
+        return SilhouetteEdges(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), 0.0)
     pixels = pixels[:: max(1, len(pixels) // _MOST_POINTS)]
     smooth = cv2.GaussianBlur(mask.astype(np.float32) / 255, (0, 0), 2.0)
     slope = np.dstack([cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)])
     outward = -slope[pixels[:, 1], pixels[:, 0]]
     normal = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
-    seen = cv2.GaussianBlur(view.observed.astype(np.float32) / 255, (0, 0), 1.0)
+    seen = cv2.GaussianBlur(observed.astype(np.float32) / 255, (0, 0), 1.0)
     own = cv2.GaussianBlur(mask.astype(np.float32) / 255, (0, 0), 1.0)
     off_px = _crossing(seen, pixels, normal) - _crossing(own, pixels, normal)
     found = np.isfinite(off_px)
     beads = view.expected.birth[pixels[:, 1], pixels[:, 0]].astype(np.int64) - 1
-    points_mm = _on_beads(camera, toolpath, beads, pixels.astype(np.float64), view.room_from_print_mm)
-    return (
-        _Edges(points_mm[found], pixels[found].astype(np.float64), normal[found], off_px[found]),
-        float(found.mean()),
+    points_mm = _on_beads(
+        camera, toolpath, beads, pixels + np.array(view.corner_px, np.float64), view.room_from_print_mm
     )
+    return SilhouetteEdges(points_mm[found], normal[found], off_px[found], float(found.mean()))
 
 
 def _crossing(soft: np.ndarray, pixels: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -175,10 +179,20 @@ def _on_beads(
     return start + share * (end - start)
 
 
-def _unexplained(camera: Camera, other: Camera, edge: _Edges) -> np.ndarray:
+def _moved_px(camera: Camera, other: Camera, edges: SilhouetteEdges) -> np.ndarray:
+    """(N,) float64: by how much `other` expects each edge further out than `camera`."""
+    apart = other.project(edges.points_mm) - camera.project(edges.points_mm)
+    return np.asarray((apart * edges.normal).sum(axis=1))
+
+
+def _apart_px(camera: Camera, other: Camera, layers: Sequence[SilhouetteEdges]) -> np.ndarray:
+    points_mm = np.vstack([edges.points_mm for edges in layers])
+    return np.asarray(np.linalg.norm(other.project(points_mm) - camera.project(points_mm), axis=1))
+
+
+def _unexplained(camera: Camera, other: Camera, edges: SilhouetteEdges) -> np.ndarray:
     """(N,) px: the observed edge from where `other` expects it, less the middle: masks are wide all round."""
-    moved = ((other.project(edge.points_mm) - camera.project(edge.points_mm)) * edge.normal).sum(axis=1)
-    left = edge.off_px - moved
+    left = edges.off_px - _moved_px(camera, other, edges)
     return left - np.median(left)
 
 
@@ -188,20 +202,43 @@ def _rms(parts: list[np.ndarray]) -> float:
     return float(np.sqrt((sizes[: max(1, int(0.9 * len(sizes)))] ** 2).mean()))
 
 
-def _fit(camera: Camera, edges: list[_Edges]) -> Camera | None:
+def _fit(camera: Camera, layers: Sequence[SilhouetteEdges]) -> Camera | None:
+    """The camera that the edges speak for, weighed against how far cameras usually are off; None where none is.
+
+    Moves are small, so the edges move in proportion to them: a linear problem, solved with Huber's weights, in which
+    each layer has an unknown of its own for how wide the mask is.
+    """
     start = np.concatenate([camera.rvec, camera.tvec_mm])
-    lens = Lens.of(camera)
-
-    def misses(values: np.ndarray) -> np.ndarray:
-        try:
-            other = lens.at(values[:3], values[3:])
-        except CameraError:
-            return np.full(sum(len(edge.off_px) for edge in edges) + 6, np.nan)
-        usual = (values - start) / ([_TURN_SPREAD] * 3 + [_SHIFT_SPREAD_MM] * 3)
-        return np.concatenate([*(_unexplained(camera, other, edge) for edge in edges), usual])
-
-    values = least_squares(misses, start, _STEPS, outlier=1.0, rounds=20).values
+    values = start
+    which = np.repeat(np.arange(len(layers)), [len(edges.off_px) for edges in layers])
+    wide = (which[:, None] == np.arange(len(layers))).astype(np.float64)
+    spread = np.array([_TURN_SPREAD] * 3 + [_SHIFT_SPREAD_MM] * 3)
     try:
+        for _ in range(2):
+            here = replace(camera, rvec=values[:3], tvec_mm=values[3:])
+            slopes = np.vstack([_slopes(here, edges) for edges in layers])
+            left = np.concatenate([edges.off_px - _moved_px(camera, here, edges) for edges in layers])
+            whole = np.hstack([slopes, wide])
+            prior = np.zeros((6, whole.shape[1]))
+            prior[:, :6] = np.diag(_EDGE_SPREAD_PX / spread)
+            pull = (start - values) / spread * _EDGE_SPREAD_PX
+            change = np.zeros(whole.shape[1])
+            for _ in range(8):
+                miss = left - whole @ change
+                weight = np.minimum(1.0, _OUTLIER_PX / np.maximum(np.abs(miss), 1e-9))
+                normal = whole.T @ (weight[:, None] * whole) / _ALONG_EDGE + prior.T @ prior
+                change = np.linalg.solve(normal, whole.T @ (weight * left) / _ALONG_EDGE + prior.T @ pull)
+            values = values + change[:6]
         return replace(camera, rvec=values[:3], tvec_mm=values[3:])
-    except CameraError:
+    except (CameraError, np.linalg.LinAlgError):
         return None
+
+
+def _slopes(camera: Camera, edges: SilhouetteEdges) -> np.ndarray:
+    """(N, 6) float64: px along the normals by which the edges move with each of rvec and tvec_mm."""
+
+    def seen(values: np.ndarray) -> np.ndarray:
+        return replace(camera, rvec=values[:3], tvec_mm=values[3:]).project(edges.points_mm)
+
+    moved = numeric_slopes(seen, np.concatenate([camera.rvec, camera.tvec_mm]), _STEPS)
+    return np.asarray((moved * edges.normal[:, :, None]).sum(axis=1))

@@ -157,6 +157,11 @@ class Memory:
         for name in ("_has_covered", "_has_bare", "_given_up"):
             setattr(self, name, warp(getattr(self, name).view(np.uint8)) > 0)
 
+    def recalibrated(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
+        """The print is expected elsewhere from now on, where it was seen to be. As `carried`."""
+        self.carried(matrix, shape)
+        self.alignment = replace(self.alignment, offset_px=(0.0, 0.0), shear_px=(0.0, 0.0, 0.0, 0.0))
+
     def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray) -> None:
         """Before the first good checks: find the misfit anew, as far off as may be; later, now and then, a little of it.
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..calibration.refine import SilhouetteView
+from ..calibration.selfcheck import SelfCheck
 from ..camera import BedMotion, Camera
 from ..decision.evidence import about_print
 from ..decision.memory import Memory
@@ -102,7 +104,9 @@ class View:
     ) -> None:  # fmt: skip
         """reference_mm : where the machine stood when the reference was taken; None for the bed's reference position"""
         self._camera, self._printer, self._toolpath = camera, printer, toolpath
+        self._renderer, self._head = renderer, head
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
+        self.selfcheck = SelfCheck(camera, toolpath)
         self._bare_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._bare_position_mm = printer.bed.reference_mm if reference_mm is None else reference_mm
         self._material, self._segmentation = material, segmentation
@@ -156,7 +160,7 @@ class View:
             self._memory = self._first_memory(window, pose)
         elif (pose, window) != self._memory_at:
             pose_before, window_before = self._memory_at
-            motion = self._print_motion(np.array(pose_before), np.array(pose))
+            motion = self._print_motion((self._camera, pose_before), (self._camera, pose))
             from_window = np.linalg.inv(window_before.from_picture)
             self._memory.carried(window.from_picture @ motion @ from_window, window.shape)
         self._memory_at = pose, window
@@ -169,16 +173,21 @@ class View:
         bare_pose = self._expected.pose(self._bare_position_mm)
         if bare_pose == pose:
             return Memory(window.of(self._bare_bgr), window.shape)
-        motion = window.from_picture @ self._print_motion(np.array(bare_pose), np.array(pose))
+        motion = window.from_picture @ self._print_motion((self._camera, bare_pose), (self._camera, pose))
         size_px = window.shape[::-1]
         known = cv2.warpPerspective(np.full(self._bare_bgr.shape[:2], 255, np.uint8), motion, size_px) > 0
         return Memory(cv2.warpPerspective(self._bare_bgr, motion, size_px), window.shape, known)
 
-    def _print_motion(self, before_mm: np.ndarray, now_mm: np.ndarray) -> np.ndarray:
-        """(3, 3): about where pixels of the print have gone as the bed moved. Exact for none but close for all of it."""
+    def _print_motion(
+        self, before: tuple[Camera, tuple[float, ...]], now: tuple[Camera, tuple[float, ...]]
+    ) -> np.ndarray:
+        """(3, 3): about where pixels of the print have gone from one camera and pose of the bed to another.
+
+        Exact for none but close for all of it.
+        """
         low, high = self._toolpath.bounds_mm()
         box_mm = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, high[2])])
-        before_px, now_px = (self._camera.project(box_mm + shift_mm) for shift_mm in (before_mm, now_mm))
+        before_px, now_px = (camera.project(box_mm + pose) for camera, pose in (before, now))
         if not (np.isfinite(before_px).all() and np.isfinite(now_px).all()):
             return np.eye(3)
         motion = cv2.findHomography(before_px, now_px)[0]
@@ -220,6 +229,25 @@ class View:
     def learn(self, steady: SteadyFrame, seen: Observation) -> None:
         """All is well in this frame: so look filament and background in this print."""
         self._segmenter.learn(steady.frame, steady.expected, seen)
+
+    def check_calibration(self, moment: Moment, steady: SteadyFrame, observed: np.ndarray, ignored: np.ndarray) -> None:
+        """All is well in this frame: so it tells how well the calibration fits, and may better it.
+
+        The print is then expected where the better camera sees it; what was seen and learned stays.
+        observed, ignored : the window's masks in the picture's own size
+        """
+        window = steady.window
+        pose = self._expected.pose(moment.position_mm)
+        better = self.selfcheck.good(
+            SilhouetteView(steady.sharp, observed, np.array(pose), ignored, (window.x0, window.y0))
+        )
+        if better is None:
+            return
+        motion = self._print_motion((self._camera, pose), (better, pose))
+        matrix = window.from_picture @ motion @ np.linalg.inv(window.from_picture)
+        self.memory(moment).recalibrated(matrix, window.shape)
+        self._camera = better
+        self._expected = ExpectedViews(self._toolpath, better, self._printer.bed, self._renderer, self._head)
 
     def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
         """(h, w) uint8, of the size of `SteadyFrame.small`, 255 where something newly hides the view.
