@@ -1,7 +1,8 @@
-"""Faults and nuisances put into recordings that went well, pixel by pixel, with the true masks changed alike.
+"""Faults and nuisances put into prints that went well, pixel by pixel, with the true masks changed alike.
 
 A recording with true masks (`frames/NNNNNN.mask.png`) lends its pictures: their light, noise, lens and colours stay, and
 only what a fault changes is moved, frozen or painted over. So one good recording makes hundreds of bad ones.
+A print that the demo's webcam painted lends its pictures just so.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ NUISANCES = (
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """A recording's good part. frames: (n, H, W, 3) uint8; masks: (n, H, W) bool; born: (H, W) first layer with matter."""
+    """A print's good part. frames: (n, H, W, 3) uint8; masks: (n, H, W) bool; born: (H, W) first layer with matter."""
 
     name: str
-    recording: Recording
+    header: Header
     toolpath: Toolpath
     moments: tuple[Moment, ...]
     frames: np.ndarray
@@ -54,15 +55,17 @@ class Base:
         ]
         frames = np.stack([recording.frame(m) for m in moments])
         totals = np.array([row["total_px"] for row in truth["per_frame"][:good]])
-        return cls(folder.name, recording, toolpath, moments, frames, np.stack(masks), recording.reference(), totals)
+        return cls(
+            folder.name, recording.header, toolpath, moments, frames, np.stack(masks), recording.reference(), totals
+        )
 
     @property
     def camera(self) -> Camera:
-        return self.recording.header.camera()
+        return self.header.camera()
 
     def covered(self, moment: Moment, beads: np.ndarray) -> np.ndarray:
         """(H, W) bool: pixels that these beads cover, drawn as thick lines."""
-        shift = self.recording.header.printer.bed.room_from_print_mm(moment.position_mm)
+        shift = self.header.printer.bed.room_from_print_mm(moment.position_mm)
         picture = np.zeros(self.reference.shape[:2], np.uint8)
         ends = self.toolpath.beads_mm[beads, :6].astype(float).reshape(-1, 3) + shift
         pixels = np.nan_to_num(self.camera.project(ends), nan=-1e4).reshape(-1, 4)
@@ -135,7 +138,7 @@ class Story:
 
     @property
     def header(self) -> Header:
-        return self.base.recording.header
+        return self.base.header
 
     @property
     def toolpath(self) -> Toolpath:

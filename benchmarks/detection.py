@@ -4,7 +4,9 @@
     python benchmarks/detection.py table [benchmarks/results/detection.jsonl]
 
 `composited` puts faults and nuisances into the rendered recordings of `../shared/cases` (composited.py), `simulated`
-draws them with the demo's simulated webcam. A run is drawn from its seed alone and written as one line of JSON, so that a benchmark that was
+draws them with the demo's simulated webcam; `mixed` puts them into prints that this webcam painted at 320x240, and `clean`
+only nuisances, into half of the runs: each painted print serves VARIANTS runs, on beds that move and with the head in view
+too. A run is drawn from its seed alone and written as one line of JSON, so that a benchmark that was
 stopped goes on where it was. The calibration handed to the check is wrong by up to 3 px in half of the runs.
 
 Three older rules look at the very same frames:
@@ -22,6 +24,7 @@ import statistics
 import sys
 import time
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -32,15 +35,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.composited import FAULTS, NUISANCES, Base, Story
 from benchmarks.painted import PaintedStory
 from octoprint_moop.core.camera import Camera
-from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, UNUSABLE
+from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, SUSPECT, UNUSABLE
 from octoprint_moop.core.inspection import Check, Inspector
 from octoprint_moop.core.toolpath import Toolpath
 from octoprint_moop.machine.renderers import open_renderer
 
 HERE = Path(__file__).resolve().parent
 SHARED = Path(os.environ.get("MOOP_SHARED", HERE.parents[1] / "shared"))
+KINDS = ("composited", "simulated", "mixed", "clean")
 RESULTS = HERE / "results" / "detection.jsonl"
 VISIBLE_E, VISIBLE_FRAMES = 0.015, 3
+VARIANTS, SMALL_PX = 6, (320, 240)
 RULES = ("moop", "jump", "blobs", "finished")
 RIGHT_MODES = {
     "extrusion": {"extrusion_failure"}, "under_extrusion": {"extrusion_failure"}, "detachment": {"detachment"},
@@ -99,13 +104,28 @@ def composited_story(seed: int, bases: list[Base], rng: np.random.Generator) -> 
     return Story(base, seed, fault, nuisances, float(rng.choice([0.6, 1.0, 1.5])))
 
 
+def drawn_story(kind: str, seed: int, bases: list[Base], rng: np.random.Generator) -> Story | PaintedStory:
+    if kind == "composited":
+        return composited_story(seed, bases, rng)
+    if kind == "simulated":
+        return PaintedStory.drawn(seed, rng, SHARED / "data" / "gcode-zoo")
+    base = painted_base(seed // VARIANTS, still=kind == "mixed")
+    count = 0 if seed % 2 else int(rng.choice([1, 1, 2]))
+    fitting = [one for one in NUISANCES if kind == "clean" or one != "nudge"]
+    nuisances = tuple(str(one) for one in rng.choice(fitting, size=count, replace=False))
+    fault = str(rng.choice(FAULTS)) if kind == "mixed" else None
+    return Story(base, seed, fault, nuisances, float(rng.choice([0.25, 0.5, 1.0, 1.5])))
+
+
+@lru_cache(maxsize=1)
+def painted_base(seed: int, still: bool) -> Base:
+    return PaintedStory.good(seed, SHARED / "data" / "gcode-zoo", SMALL_PX, still).painted()
+
+
 def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
     """Everything about one run, ready for JSON."""
     rng = np.random.default_rng([seed, 9])
-    if kind == "composited":
-        story = composited_story(seed, bases, rng)
-    else:
-        story = PaintedStory.drawn(seed, rng, SHARED / "data" / "gcode-zoo")
+    story = drawn_story(kind, seed, bases, rng)
     rms_px = float(rng.choice([0.0, 0.5, 1.0, 2.0, 3.0], p=[0.4, 0.15, 0.2, 0.15, 0.1]))
     header = story.header
     if rms_px:
@@ -122,7 +142,8 @@ def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
         before_s = time.process_time()
         check = inspector.check(picture.frame, story.moment(number))
         checks_s += time.process_time() - before_s
-        rivals.look(number, picture.frame, check, story.finished(number))
+        if kind in ("composited", "simulated"):
+            rivals.look(number, picture.frame, check, story.finished(number))
         verdicts.append(check.verdict)
         if failed is None and check.verdict == FAILED:
             failed = (number, check)
@@ -140,6 +161,8 @@ def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
         "mode": failed[1].mode if failed else None, "reason": failed[1].reason if failed else "",
         "named": [one["name"] for one in failed[1].objects if one["verdict"] == FAILED] if failed else [],
         "unusable": verdicts.count(UNUSABLE), "moved": verdicts.count(CAMERA_MOVED), "largest_E": max(errors),
+        "suspects": verdicts.count(SUSPECT), "failures": verdicts.count(FAILED), "bed": header.printer.bed.kind,
+        "parked": story.moment(0).parked, "size_px": list(header.camera().image_size_px),
         "ms": round(1000 * checks_s / len(verdicts), 1), "s": round(time.process_time() - began_s, 1),
     }  # fmt: skip
 
@@ -218,7 +241,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     running = commands.add_parser("run")
-    running.add_argument("--kind", choices=("composited", "simulated"), default="composited")
+    running.add_argument("--kind", choices=KINDS, default="composited")
     running.add_argument("--first", type=int, default=0)
     running.add_argument("--runs", type=int, default=30)
     running.add_argument("--out", type=Path, default=RESULTS)

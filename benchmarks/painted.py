@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.composited import Picture
+from benchmarks.composited import Base, Picture
 from octoprint_moop.core.camera import BedMotion, Camera
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Moment, Printer
@@ -30,6 +30,10 @@ COLOURS_BGR = (
     (40.0, 30.0, 210.0),
     (30.0, 200.0, 235.0),
 )
+MANY_COLOURS_BGR = (
+    *COLOURS_BGR, (235.0, 235.0, 235.0), (30.0, 30.0, 30.0), (128.0, 128.0, 130.0), (150.0, 90.0, 220.0),
+    (60.0, 90.0, 130.0), (190.0, 170.0, 60.0),
+)  # fmt: skip
 FAULT_NAMES = {"extrusion_stop": "extrusion"}
 MOST_LAYERS, SIZE_PX = 40, (480, 360)
 
@@ -55,17 +59,17 @@ class PaintedStory:
     _scene: Scene
     _clean: Scene
     _layers: np.ndarray
+    _stands: bool = False
 
     @classmethod
     def drawn(cls, seed: int, rng: np.random.Generator, models: Path) -> PaintedStory:
-        name = str(rng.choice(MODELS))
-        toolpath = _toolpath(models / f"{name}.gcode")
+        """A print with a fault in seven of ten, and a nuisance in four."""
+        name, toolpath = _model(rng, models)
         low, high = toolpath.bounds_mm()
         bed_mm = (max(high[0] + 30, 220.0), max(high[1] + 30, 210.0))
         bed = BedMotion(str(rng.choice(["fixed", "y"])), (0.0, bed_mm[1], 0.0))
-        camera = _camera(low, high, rng)
-        layers = np.linspace(0, toolpath.layers - 1, min(MOST_LAYERS, toolpath.layers)).round().astype(int)
-        layers = np.unique(np.concatenate([np.arange(min(4, toolpath.layers)), layers]))
+        camera = _camera(low, high, rng, SIZE_PX)
+        layers = _layers(toolpath)
         kind = None if rng.random() < 0.3 else str(rng.choice(KINDS))
         strength, onset, faults, object_name = float(rng.choice([0.4, 0.7, 1.0, 1.5])), 0, (), None
         if kind:
@@ -94,16 +98,52 @@ class PaintedStory:
         story.header = replace(story.header, material=story._picked())
         return story
 
+    @classmethod
+    def good(cls, seed: int, models: Path, size_px: tuple[int, int], still: bool) -> PaintedStory:
+        """A print that goes well, of any colour, on any bed.
+
+        still : the bed stands at each picture where it stood at the one before, and the head never comes into view; if
+        not, one print in three is seen with its head where it stands, and beds that move have moved
+        """
+        rng = np.random.default_rng([seed, 17])
+        name, toolpath = _model(rng, models)
+        low, high = toolpath.bounds_mm()
+        bed_mm = (max(high[0] + 30, 220.0), max(high[1] + 30, 210.0))
+        kind = "fixed" if still else str(rng.choice(["fixed", "y", "z"]))
+        bed = BedMotion(kind, (0.0, bed_mm[1], 0.0))
+        camera = _camera(low, high, rng, size_px)
+        stands = not still and rng.random() < 1 / 3
+        light = Light(level=float(rng.uniform(0.6, 1.2)), mirror_ratio=float(rng.choice([0.0, 0.12])))
+        clean = Scene(
+            toolpath, camera, bed, material_bgr=MANY_COLOURS_BGR[rng.integers(len(MANY_COLOURS_BGR))], light=light,
+            seed=seed, surface=str(rng.choice(["sheet", "steel", "glass"])), bed_mm=bed_mm, with_head=stands,
+        )  # fmt: skip
+        header = Header(Printer(*bed_mm, 210, bed=bed), ((None, camera),), None, name, toolpath.bytes)
+        story = cls(
+            toolpath, header, name, 1.0, (), None, 0, None, _decoded(clean.jpeg(0, (0.0, bed_mm[1], 0.0))), clean, clean,
+            _layers(toolpath), stands,
+        )  # fmt: skip
+        return story
+
+    def painted(self) -> Base:
+        """All its pictures, to put faults and nuisances into."""
+        moments = tuple(self.moment(number) for number in range(len(self)))
+        pictures = [self.picture(number) for number in range(len(self))]
+        totals = np.full(len(self), max(int(np.count_nonzero(pictures[-1].mask)), 1))
+        frames, masks = np.stack([one.frame for one in pictures]), np.stack([one.mask for one in pictures])
+        return Base(self.name, self.header, self.toolpath, moments, frames, masks, self.reference, totals)
+
     def __len__(self) -> int:
         return len(self._layers)
 
     def moment(self, number: int) -> Moment:
         layer = int(self._layers[number])
-        z_mm = float(self.toolpath.layer_z_mm[layer])
-        return Moment(
-            f"{number:06d}.jpg", int(self.toolpath.layer_end_pos[layer]), layer,
-            (0.0, self.header.printer.bed.reference_mm[1], z_mm),
-        )  # fmt: skip
+        z_mm, file_pos = float(self.toolpath.layer_z_mm[layer]), int(self.toolpath.layer_end_pos[layer])
+        position_mm = (0.0, self.header.printer.bed.reference_mm[1], z_mm)
+        if self._stands:
+            x, y, z = self.toolpath.beads_mm[self.toolpath.laid_at(file_pos) - 1][3:6].astype(float)
+            position_mm = (float(x), float(y), float(z))
+        return Moment(f"{number:06d}.jpg", file_pos, layer, position_mm, parked=not self._stands)
 
     def picture(self, number: int) -> Picture:
         moment = self.moment(number)
@@ -139,12 +179,23 @@ def _decoded(jpeg: bytes) -> np.ndarray:
     return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
 
 
-def _camera(low_mm: np.ndarray, high_mm: np.ndarray, rng: np.random.Generator) -> Camera:
+def _model(rng: np.random.Generator, models: Path) -> tuple[str, Toolpath]:
+    name = str(rng.choice(MODELS))
+    return name, _toolpath(models / f"{name}.gcode")
+
+
+def _layers(toolpath: Toolpath) -> np.ndarray:
+    """The first four and some of all others, evenly."""
+    some = np.linspace(0, toolpath.layers - 1, min(MOST_LAYERS, toolpath.layers)).round().astype(int)
+    return np.unique(np.concatenate([np.arange(min(4, toolpath.layers)), some]))
+
+
+def _camera(low_mm: np.ndarray, high_mm: np.ndarray, rng: np.random.Generator, size_px: tuple[int, int]) -> Camera:
     """A camera before the bed that looks at the print, which fills a third to two thirds of its picture."""
     target = (low_mm + high_mm) / 2
     extent = max(float((high_mm - low_mm).max()), 25.0)
-    focal_px = SIZE_PX[0] * rng.uniform(0.8, 1.3)
-    distance = focal_px * extent / (SIZE_PX[0] * rng.uniform(0.3, 0.6))
+    focal_px = size_px[0] * rng.uniform(0.8, 1.3)
+    distance = focal_px * extent / (size_px[0] * rng.uniform(0.3, 0.6))
     round_deg, up_deg = rng.uniform(-50, 50), rng.uniform(18, 50)
     turn, rise = np.radians(round_deg), np.radians(up_deg)
     eye = target + distance * np.array([np.sin(turn) * np.cos(rise), -np.cos(turn) * np.cos(rise), np.sin(rise)])
@@ -152,6 +203,6 @@ def _camera(low_mm: np.ndarray, high_mm: np.ndarray, rng: np.random.Generator) -
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    K = [[focal_px, 0, SIZE_PX[0] / 2 - 0.5], [0, focal_px, SIZE_PX[1] / 2 - 0.5], [0, 0, 1]]
+    K = [[focal_px, 0, size_px[0] / 2 - 0.5], [0, focal_px, size_px[1] / 2 - 0.5], [0, 0, 1]]
     bend = float(rng.uniform(-0.2, 0.05))
-    return Camera(SIZE_PX, K, [bend, -0.3 * bend, 0, 0, 0], cv2.Rodrigues(rotation)[0].ravel(), -rotation @ eye)
+    return Camera(size_px, K, [bend, -0.3 * bend, 0, 0, 0], cv2.Rodrigues(rotation)[0].ravel(), -rotation @ eye)

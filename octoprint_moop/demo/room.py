@@ -17,13 +17,16 @@ class Room:
 
     bed_mm  : (width, depth) of the bed, whose lower left corner is the print's origin
     surface : one of SURFACES
+    built   : the camera before it was turned, which saw the wall as it is
     """
 
-    def __init__(self, camera: Camera, bed_mm: tuple[float, float], surface: str, seed: int) -> None:
+    def __init__(
+        self, camera: Camera, bed_mm: tuple[float, float], surface: str, seed: int, built: Camera | None = None
+    ) -> None:
         self._camera, self._bed_mm = camera, bed_mm
         self._rng_seed = seed
         self._texture = _bed_texture(bed_mm, surface, np.random.default_rng([seed, 1]))
-        self._wall = _wall(camera, np.random.default_rng([seed, 2]))
+        self._wall = _seen_turned(_wall(built or camera, np.random.default_rng([seed, 2])), built or camera, camera)
         width, height = camera.image_size_px
         pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2)
         rays = _rays(camera, pixels.astype(np.float64))
@@ -136,6 +139,15 @@ def _edge(firsts: tuple[float, float], seconds: tuple[float, float]) -> tuple[li
     a = np.concatenate([a0 + (a1 - a0) * share, np.full(10, a1), a1 - (a1 - a0) * share, np.full(10, a0)])
     b = np.concatenate([np.full(10, b0), b0 + (b1 - b0) * share, np.full(10, b1), b1 - (b1 - b0) * share])
     return a.tolist(), b.tolist()
+
+
+def _seen_turned(wall: np.ndarray, before: Camera, after: Camera) -> np.ndarray:
+    """What is far away, as a camera sees it after it was turned."""
+    turn = cv2.Rodrigues(after.rvec)[0] @ cv2.Rodrigues(before.rvec)[0].T
+    if np.allclose(turn, np.eye(3), atol=1e-9):
+        return wall
+    matrix = after.K @ turn @ np.linalg.inv(before.K)
+    return cv2.warpPerspective(wall, matrix, wall.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
 
 
 def _rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:

@@ -115,7 +115,7 @@ class Scene:
             camera = _nudged(self._camera, nudge, self._seed) if nudge else self._camera
             self._views[nudge > 0] = _View(
                 Painter(camera, self._material_bgr, self._light, self._seed),
-                Room(camera, self._bed_mm, self._surface, self._seed),
+                Room(camera, self._bed_mm, self._surface, self._seed, self._camera),
                 self.toolpath, self._bed, camera.image_size_px,
             )  # fmt: skip
         return self._views[nudge > 0]
