@@ -103,16 +103,17 @@ class PaintedStory:
         """A print that goes well, of any colour, on any bed.
 
         still : the bed stands at each picture where it stood at the one before, and the head never comes into view; if
-        not, one print in three is seen with its head where it stands, and beds that move have moved
+        not, one print in five is seen with its head where it stands, and one in four on a bed that sinks
         """
         rng = np.random.default_rng([seed, 17])
         name, toolpath = _model(rng, models)
         low, high = toolpath.bounds_mm()
         bed_mm = (max(high[0] + 30, 220.0), max(high[1] + 30, 210.0))
-        kind = "fixed" if still else str(rng.choice(["fixed", "y", "z"]))
-        bed = BedMotion(kind, (0.0, bed_mm[1], 0.0))
+        kind = "fixed" if still else str(rng.choice(["fixed", "y", "z"], p=[0.5, 0.25, 0.25]))
+        stands = not still and rng.random() < 1 / 5
+        # the camera is set up to see the bed where it stands when the pictures are taken
+        bed = BedMotion(kind, (0.0, float((low[1] + high[1]) / 2) if stands else bed_mm[1], 0.0))
         camera = _camera(low, high, rng, size_px)
-        stands = not still and rng.random() < 1 / 3
         light = Light(level=float(rng.uniform(0.6, 1.2)), mirror_ratio=float(rng.choice([0.0, 0.12])))
         clean = Scene(
             toolpath, camera, bed, material_bgr=MANY_COLOURS_BGR[rng.integers(len(MANY_COLOURS_BGR))], light=light,
@@ -120,8 +121,8 @@ class PaintedStory:
         )  # fmt: skip
         header = Header(Printer(*bed_mm, 210, bed=bed), ((None, camera),), None, name, toolpath.bytes)
         story = cls(
-            toolpath, header, name, 1.0, (), None, 0, None, _decoded(clean.jpeg(0, (0.0, bed_mm[1], 0.0))), clean, clean,
-            _layers(toolpath), stands,
+            toolpath, header, name, 1.0, (), None, 0, None, _decoded(clean.jpeg(0, (0.0, bed.reference_mm[1], 0.0))), clean,
+            clean, _layers(toolpath), stands,
         )  # fmt: skip
         return story
 
