@@ -21,7 +21,7 @@ def look(limits: float = 0.0, share: float = 1.0, objects: int = 0) -> Look:
     fresh = tuple((200 * n, int(200 * n * share)) for n in (1, 2, 4, 8))
     stray_px = int(limits * LIMIT_PX)
     scopes = tuple(
-        Evidence(number, 9000, TOTAL_PX, 8000, 0, stray_px, 600, 0, 0, 900, 0, stray_px, fresh)
+        Evidence(number, 9000, TOTAL_PX, 0, 8000, 0, stray_px, 600, 0, 0, 900, 0, stray_px, fresh)
         for number in (WHOLE, *range(objects))
     )
     return Look(Comparison(9000, 9000 + stray_px, 0, stray_px, 0, TOTAL_PX), scopes=scopes)

@@ -26,9 +26,11 @@ TOTAL_PX = 20_000
 LIMIT_PX = int(MATTER_LIMIT_RATIO * TOTAL_PX)
 
 
-def evidence(lost=0, stray=0, unseen=0, object_id=WHOLE, share=1.0, barren=0, rim=0):
+def evidence(lost=0, stray=0, unseen=0, object_id=WHOLE, share=1.0, barren=0, rim=0, dim=0):
     fresh = tuple((200 * n, int(200 * n * share)) for n in (1, 2, 4, 8))
-    return Evidence(object_id, 9000, TOTAL_PX, 8000, lost, stray, 600, rim, unseen, 900, barren, lost + stray, fresh)
+    return Evidence(
+        object_id, 9000, TOTAL_PX, dim, 8000, lost, stray, 600, rim, unseen, 900, barren, lost + stray, fresh
+    )
 
 
 def after_good(checks=20, track=None, **figures):

@@ -21,7 +21,7 @@ REACH_PX, STEP_PX = 4.0, 0.5  # how far from a contour its edge is looked for, e
 ROUNDS = 5
 NOISE_PX = 0.7
 PRIOR_PX = (3.0, 3.0, 1.2, 1.2, 1.2, 1.2, 1.5)  # two of offset, four of shear, turn and scale at the print's rim, halo
-LEAST_POINTS, LEAST_RATIO = 40, 0.5
+LEAST_POINTS, LEAST_RATIO = 40, 0.35
 WORTH_PX = 0.05  # of the contour's length: what one more pixel of offset must explain, at the coarse search
 
 
@@ -132,7 +132,7 @@ def fit(
     residual, found = np.zeros(len(points)), np.zeros(len(points), bool)
     for _ in range(ROUNDS):
         along, found = _edges(soft, blind, points + start._of(values).at(points), normals, values[6])
-        if np.count_nonzero(found) < max(LEAST_POINTS, LEAST_RATIO * 0.5 * len(points)):
+        if np.count_nonzero(found) < max(LEAST_POINTS, LEAST_RATIO * len(points)):
             return None
         residual = along - values[6]
         weight = _biweight(residual[found])

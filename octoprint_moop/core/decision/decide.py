@@ -24,6 +24,7 @@ DECISIVE = 3.0  # one check this far above its limits needs no second
 CONFIRMED = 2.0  # the same, where a second frame of the same state has shown it too
 MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
 MATTER_LIMIT_PX = 30
+DIM_WIDENS = 8.0  # by how much all limits grow with the share of standing matter that is usually not seen
 RIM_LIMIT = 0.15  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
@@ -56,6 +57,7 @@ class Track:
     rim: tuple[float, ...] = ()
     unseen: tuple[float, ...] = ()
     barren: tuple[float, ...] = ()
+    dim: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
     cusum: float = 0.0
     teaching_cusum: float = 0.0
@@ -82,7 +84,7 @@ class Outcome:
 
 def matter_limit(track: Track, total_px: int, sensitivity: str) -> float:
     """How much lost or stray matter is tolerated, in parts of the complete silhouette."""
-    wide = SENSITIVITIES[sensitivity] * track.wide
+    wide = SENSITIVITIES[sensitivity] * track.wide * (1 + DIM_WIDENS * _usual(track.dim))
     return wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / max(total_px, 1))
 
 
@@ -189,6 +191,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
         rim=_with(track.rim, evidence.rim_px / total),
         unseen=_with(track.unseen, evidence.unseen_px / total),
         barren=_with(track.barren, evidence.barren_px / total),
+        dim=_with(track.dim, evidence.dim_px / max(evidence.expected_px, 1)),
         seen=tuple(
             _with(past, seen_px / new_px) if new_px >= FRESH_LEAST_PX else past
             for past, (new_px, seen_px) in zip(track.seen, evidence.fresh)

@@ -26,11 +26,13 @@ import numpy as np
 
 from ..expected.views import Expected, PrintMap
 from . import align
-from .memory import Memory, Window, about, placed, planes, register
+from .memory import CHANGED, Memory, Window, about, placed, planes, register
 
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
+FIRST_LAYERS = 2
+BESIDE_PX, ALIKE_RATIO, SHADE_PX = 30, 0.1, 8.0
 SPECK_PX = 6
 RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the looked-at window's width: how far off the print stray matter may begin
@@ -38,7 +40,7 @@ HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
 MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 16.0, 2.5, 12.0  # at up to 640 pixels across
-MOVED_SHARE, MOVED_LEFT, PIECE_PX = 0.55, 0.25, 60
+MOVED_LEFT, PIECE_PX = 0.25, 60
 WHOLE = -1
 
 
@@ -74,6 +76,7 @@ class Evidence:
     """Pixel counts of one scope: one labelled object, or the WHOLE print.
 
     expected_px, total_px : of the expected mask now and of the complete one
+    dim_px      : well inside the expected mask and not seen: how far this filament can be told from this bed at all
     standing_px : established matter that was seen in earlier checks; lost_px : of it, what is seen no more
     stray_px    : matter where none is expected, new since all was well
     rim_px      : the same within the tolerance band, but not right at the expected edge, which is edge_px long
@@ -85,6 +88,7 @@ class Evidence:
     object_id: int
     expected_px: int
     total_px: int
+    dim_px: int
     standing_px: int
     lost_px: int
     stray_px: int
@@ -157,7 +161,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     finer = sight.finer
     reach_px = int(MOVED_REACH_PX * finer)
     found = register(window, findings.wanted, sight.observed > 0, sight.ignored == 0, reach_px)
-    if found is None or found.share < MOVED_SHARE:
+    if found is None:
         return None
     points = np.argwhere(findings.wanted)[::17, ::-1] + [window[1].start, window[0].start]
     moved_px = float(np.sqrt(np.mean(np.sum((found.alignment.at(points) - before.at(points)) ** 2, axis=1))))
@@ -224,16 +228,46 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     later = recent & (layer_of > 0)
     # segmentation that expects matter may see it in a shadow: what has not changed at all has not come either
     unchanged = memory.looks_unchanged(window, look, recent & observed)
-    deep = recent & (cv2.erode(wanted_u8, edge) > 0)
+    # what the first layer covers has told by its second successor whether it came
+    inside = cv2.erode(wanted_u8, edge) > 0
+    deep = recent & inside & ((layer_of > 0) | (sight.layer <= FIRST_LAYERS))
     barren = unchanged | memory.looks_bare(window, look, deep & ~near_observed & ~memory.ever_seen(window))
     barren &= deep
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~observed)
-    stray = near_to(wanted_u8, without_specks(memory.looks_new(window, look, stray)), REACH_RATIO * wanted.shape[1])
+    stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
+    # dark filament and its own shadow look alike
+    shade = SHADE_PX * max(1.0, sight.observed.shape[1] / 640)
+    stray &= ~(memory.looks_shaded(window, look, stray) & _within(wanted_u8, shade))
+    rim &= ~memory.looks_shaded(window, look, rim)
+    stray = near_to(wanted_u8, without_specks(stray), REACH_RATIO * wanted.shape[1])
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
     lost = without_specks(memory.looks_bare(window, look, lost))
-    rim = memory.looks_new(window, look, rim)
-    scopes = _count(sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren)
+    lost = _unlike_matter_beside(lost, observed & wanted, look, memory.bare(window))
+    scopes = _count(
+        sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
+    )
     return Findings(window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, scopes)
+
+
+def _unlike_matter_beside(lost: np.ndarray, matter: np.ndarray, look: np.ndarray, bare: np.ndarray) -> np.ndarray:
+    """The lost spots without those where matter that still stands beside looks like the bed under the spot.
+
+    A side wall that has the bed's own shade comes into view as a print grows; whether it is gone cannot be seen.
+    """
+    if not lost.any():
+        return lost
+    told = lost.copy()
+    labels, areas_px = _spots(lost)
+    for spot in range(1, len(areas_px)):
+        own = labels == spot
+        beside = cv2.dilate(own.view(np.uint8), disc(BESIDE_PX)).view(bool) & matter
+        if not beside.any():
+            continue
+        bed = np.array([np.median(plane[own]) for plane in bare])
+        apart = np.max([np.abs(plane[beside] - level) for plane, level in zip(look.astype(np.float32), bed)], axis=0)
+        if np.mean(apart < CHANGED) > ALIKE_RATIO:
+            told &= ~own
+    return told
 
 
 def _hidden_px(
@@ -257,7 +291,7 @@ def _hidden_px(
 def _count(
     sight: Sight, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray, standing: np.ndarray,
     lost: np.ndarray, stray: np.ndarray, rim: np.ndarray, later: np.ndarray, unseen: np.ndarray, deep: np.ndarray,
-    barren: np.ndarray,
+    barren: np.ndarray, inside: np.ndarray,
 ) -> tuple[Evidence, ...]:  # fmt: skip
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
@@ -268,6 +302,7 @@ def _count(
     figures = {
         "expected_px": own(wanted & known),
         "total_px": own(complete & known),
+        "dim_px": own(inside & known & ~observed),
         "standing_px": own(standing),
         "lost_px": own(lost),
         "stray_px": near(stray),

@@ -18,6 +18,7 @@ NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so fa
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
+SHADE_LEAST, SHADE_TINT = 0.25, 0.2
 UNCHANGED = 8  # the same within which a pixel looks as it did
 BED_LEAST_PX, BED_CLEARLY = 60, 0.8
 CHANGED = 18  # grey levels in any channel by which a pixel looks unlike another time
@@ -72,13 +73,14 @@ class Memory:
     def looks_bare(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those of which the picture bears out that nothing lies there.
 
-        Where the bare bed's look is known, it must be much more like that than like the matter seen there; where no
-        matter was seen yet, like the bare bed; where only matter was seen, unlike it.
+        Where the bare bed's look is known, it must be much more like that than like the matter seen there, and clearly
+        unlike the latter: filament that looks like the bed is neither seen to come nor to go. Where no matter was seen
+        yet, it must be like the bare bed; where only matter was seen, unlike it.
         """
         few = about(where)
         has_bare, has_covered = self._has_bare[window][few], self._has_covered[window][few]
         from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
-        nearer = from_bare < np.float32(MUCH_NEARER) * from_covered
+        nearer = (from_bare < np.float32(MUCH_NEARER) * from_covered) & (from_covered > CHANGED)
         like_bare = np.where(has_covered, nearer, from_bare < CHANGED)
         return placed(where, few, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
 
@@ -106,6 +108,22 @@ class Memory:
         new = _apart(look, self._bare, window, few) > change
         has_bare = self._has_bare[window][few]
         return placed(where, few, new | ~has_bare if unknown else new & has_bare)
+
+    def looks_shaded(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """bool: of the pixels `where`, those that look like the bare bed with less light on it."""
+        if not where.any():
+            return where
+        few = about(where)
+        ratios = np.array(
+            [(now[few] + 1.0) / (then[window][few] + 1.0) for now, then in zip(look, self._bare)], np.float32
+        )
+        darkest, brightest = ratios.min(axis=0), ratios.max(axis=0)
+        shaded = (brightest < 1.0) & (darkest > SHADE_LEAST) & (brightest - darkest < SHADE_TINT * brightest)
+        return placed(where, few, shaded & self._has_bare[window][few])
+
+    def bare(self, window: Window) -> np.ndarray:
+        """(3, h, w) uint8: how the bed looks without matter, where that is known."""
+        return self._bare[:, window[0], window[1]]
 
     def learn(
         self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray, known: np.ndarray
