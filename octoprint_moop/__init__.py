@@ -10,12 +10,14 @@ __plugin_name__ = "MOOP"
 __plugin_pythoncompat__ = ">=3.9,<4"
 __plugin_implementation__: object
 __plugin_hooks__: dict[str, object]
+__plugin_helpers__: dict[str, object]
 
 
 def __plugin_load__() -> None:
     from .host.plugin import MoopPlugin
 
-    global __plugin_implementation__, __plugin_hooks__
+    global __plugin_implementation__, __plugin_hooks__, __plugin_helpers__
     plugin = MoopPlugin()
     __plugin_implementation__ = plugin
     __plugin_hooks__ = plugin.hooks()
+    __plugin_helpers__ = plugin.helpers()

@@ -15,6 +15,10 @@ ACTIONS = ("none", "notify", "pause", "cancel", "cancel_object")
 SEGMENTATIONS = ("adaptive", "thresholds")
 SENSITIVITIES = ("low", "medium", "high")
 CAPTURES = ("park", "stand", "slicer")
+MILD_ACTIONS = ("none", "notify", "pause")
+
+
+MOST_TEXT = 8000
 
 
 def number(default: float, low: float, high: float, unit: str, sentence: str) -> Any:
@@ -30,8 +34,9 @@ def switch(default: bool, sentence: str) -> Any:
     return field(default=default, metadata={"sentence": sentence})
 
 
-def text(default: str, sentence: str) -> Any:
-    return field(default=default, metadata={"sentence": sentence})
+def text(default: str, sentence: str, lines: bool = False) -> Any:
+    """lines : it may have several"""
+    return field(default=default, metadata={"sentence": sentence, **({"lines": True} if lines else {})})
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,13 @@ class Settings:
 
     watch_prints: bool = switch(True, "Watch every print from its start.")
     on_failed: str = choice("pause", ACTIONS, "What to do when a print has failed.")
+    on_suspect: str = choice(
+        "none", MILD_ACTIONS, "What to do when something is suspected, of which the next layers will tell."
+    )  # fmt: skip
+    on_blind: str = choice(
+        "none", MILD_ACTIONS, "What to do when a print that should be watched could not be for a while."
+    )
+    blind_min: float = number(10.0, 0.5, 1440.0, "min", "How long that while is.")
     segmentation: str = choice(
         "adaptive",
         SEGMENTATIONS,
@@ -52,6 +64,15 @@ class Settings:
         "min",
         "Turn the hot end off when a pause of ours lasts longer than this; 0 for never. "
         "It is heated again before the print goes on.",
+    )
+    bed_off_after_min: float = number(
+        0.0, 0.0, 1440.0, "min",
+        "Turn the bed off, too, when a pause of ours lasts longer than this; 0 to keep it warm, and the print on it. "
+        "It is heated again before the print goes on.",
+    )  # fmt: skip
+    gcode_paused: str = text("", "G-code to send after OctoPrint's own pause script when the pause is ours.", lines=True)
+    gcode_resumed: str = text(
+        "", "G-code to send before OctoPrint's own resume script after a pause of ours, when all is hot again.", lines=True
     )
     sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 
@@ -129,6 +150,8 @@ def read_value(name: str, value: Any) -> Any:
     if isinstance(default, str):
         if "choices" in limits and value not in limits["choices"]:
             raise SettingsError(f"{name} is {value!r}; one of {', '.join(limits['choices'])} is needed.")
+        if len(str(value)) > MOST_TEXT:
+            raise SettingsError(f"{name} is {len(str(value))} characters long; at most {MOST_TEXT} are allowed.")
         return str(value)
     low, high, unit = limits["low"], limits["high"], limits["unit"]
     try:

@@ -81,7 +81,7 @@ class MoopPlugin(
         send = self._plugin_manager.send_plugin_message
         if kind in ("status", "check"):
             send(self._identifier, {"type": kind, kind: payload})
-        elif kind == "failed":
+        elif kind in ("failed", "unwatched") or (kind == "suspect" and payload["action"] != "none"):
             send(self._identifier, {"type": kind, **payload})
         if kind != "status":
             self._event_bus.fire(f"plugin_{self._identifier}_{kind}", payload)
@@ -91,13 +91,13 @@ class MoopPlugin(
     def on_event(self, event: str, payload: Any) -> None:
         """On the thread that all plugins share: every answer here is to put something into a mailbox."""
         watch = self._watch
-        if event == Events.FILE_SELECTED:
-            if payload.get("origin") == "local":
-                watch.job_selected(self._file_manager.path_on_disk("local", payload["path"]))
+        if event in (Events.FILE_ADDED, Events.FILE_SELECTED):
+            # an upload names its storage, a selection its origin
+            local = payload.get("storage", payload.get("origin")) == "local"
+            if local and "gcode" in (payload.get("type") or ("gcode",)):
+                watch.job_expected(self._file_manager.path_on_disk("local", payload["path"]))
         elif event == Events.PRINT_STARTED:
             watch.job_started(self._job(payload))
-        elif event == Events.PRINT_PAUSED:
-            watch.job_paused()
         elif event == Events.PRINT_RESUMED:
             watch.job_resumed()
         elif event == Events.PRINT_DONE:
@@ -196,6 +196,12 @@ class MoopPlugin(
     def get_wizard_version(self) -> int:
         return 1
 
+    # --- for other plugins ----------------------------------------------------------------------------------------
+
+    def helpers(self) -> dict[str, Any]:
+        """docs/events.md"""
+        return {"status": lambda: self._ledger.status, "check_now": lambda: self._watch.check_now()}
+
     # --- hooks ----------------------------------------------------------------------------------------------------
 
     def hooks(self) -> dict[str, Any]:
@@ -242,9 +248,9 @@ class MoopPlugin(
 
     def on_script(self, comm: Any, kind: str, name: str, *args: Any, **kwargs: Any) -> Any:
         if kind == "gcode" and name == "beforePrintResumed":
-            heat = self._watch.actor.reheating()
-            if heat:
-                return heat, None
+            return self._watch.resuming_commands(), None
+        if kind == "gcode" and name == "afterPrintPaused":
+            return None, self._watch.pausing_commands()
         return None
 
     def permissions(self, *args: Any, **kwargs: Any) -> list[dict[str, Any]]:
@@ -258,7 +264,7 @@ class MoopPlugin(
         ]  # fmt: skip
 
     def custom_events(self, *args: Any, **kwargs: Any) -> list[str]:
-        return ["check", "suspect", "failed", "unusable", "camera_moved", "blind"]
+        return ["check", "suspect", "failed", "unusable", "camera_moved", "blind", "unwatched"]
 
     def backup_excludes(self, excluded: Any, *args: Any, **kwargs: Any) -> list[str]:
         return ["recordings", "cache"]

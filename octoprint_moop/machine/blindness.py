@@ -22,6 +22,9 @@ CAMERA_MOVED = "camera_moved"
 OUT_OF_VIEW = "out_of_view"
 BUG = "bug"
 
+WANTED = (IDLE, READING, OFF, OFF_FOR_PRINT)
+"""Nobody watches, and nobody expects it."""
+
 MEANINGS = {
     IDLE: "no print is running",
     READING: "the G-code is being read, and watching begins afterwards",

@@ -17,9 +17,11 @@ import contextlib
 import gzip
 import shutil
 import sys
+import threading
+import time
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Callable
 
 import cv2
 
@@ -29,7 +31,10 @@ from ..core.gcode.read import read_gcode
 from ..core.header import Header, Moment
 from ..core.inspection import Inspector
 from ..core.settings import read_settings
+from ..core.toolpath import Toolpath
+from ..core.view.usable import is_still
 from . import bench
+from .beginning import bare_ends
 from .bench import Answer
 from .parking import read_modes
 from .pictures import decode, encode_mask
@@ -42,12 +47,18 @@ if TYPE_CHECKING:
     from .gl import GlRenderer
 
 REBUILT_CHECKS = 300
+TELL_EVERY_S = 0.5
+PACKING_S = 0.3
 
 
 class Eye:
-    """What the eye can be asked. Each public method is one question; arguments and answers are JSON and bytes."""
+    """What the eye can be asked. Each public method is one question; arguments and answers are JSON and bytes.
 
-    def __init__(self) -> None:
+    progress : called with the ratio done, 0 to 1, while a file is read
+    """
+
+    def __init__(self, progress: Callable[[float], None] = lambda ratio: None) -> None:
+        self._progress = progress
         self._inspector: Inspector | None = None
         self._road: Road | None = None
         self._renderer_stack = contextlib.ExitStack()
@@ -55,7 +66,7 @@ class Eye:
 
     def index(self, blobs: list[bytes], job: str, cache: str) -> Answer:
         """Get ready for a G-code file that will probably be printed, so that `open` is quick: layers, renderer."""
-        return {"layers": read_gcode(Path(job), cache_dir=Path(cache)).layers, "renderer": self._draw().name}, []
+        return {"layers": self._read(job, cache).layers, "renderer": self._draw().name}, []
 
     def open(
         self,
@@ -81,14 +92,20 @@ class Eye:
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
         said      : what the user said after which of its frames: `accept` or `pardon`
         Answers road (gcode, mesh or height), layers, ends (file position of each layer's end; none by height),
-        bounds_mm, objects, cancel_commands, modes (at each end), notes, renderer.
+        bare_ends (positions at which nothing lies yet), bounds_mm, objects, cancel_commands, modes (at each of all these
+        positions), notes, renderer.
         """
         path = None if job is None else Path(job)
-        road = find_road(path, None if mesh is None else MeshChoice.from_json(mesh), Path(cache))
+        road = find_road(path, None if mesh is None else MeshChoice.from_json(mesh), Path(cache), self._progress)
         toolpath = road.toolpath
-        ends = [] if road.name == "height" else toolpath.layer_end_pos.tolist()
+        text, ends, bare = b"", [], []
+        if path is not None and road.name != "height":
+            text = _as_octoprint_counts(path)
+            ends, bare = toolpath.layer_end_pos.tolist(), bare_ends(text, int(toolpath.end_pos[0]))
         if path is not None and keep_as and not Path(keep_as).exists():
-            _pack(path, Path(keep_as))
+            packing = threading.Thread(target=_pack, args=(open(path, "rb"), Path(keep_as)), daemon=True)  # noqa: SIM115
+            packing.start()
+            packing.join(PACKING_S)  # a large file is packed beside the first checks
         if road.solid is not None and keep_mesh_as:
             with contextlib.suppress(OSError):  # a full disk costs the recording, never the check
                 Path(keep_mesh_as).write_bytes(road.solid.stl())
@@ -99,23 +116,32 @@ class Eye:
         )
         if recording:
             self._learn_again(Recording.open(recording), said or {})
-        modes = read_modes(_as_octoprint_counts(path), ends) if path is not None and ends else []
         return {
             "road": road.name,
             "layers": toolpath.layers,
             "ends": ends,
+            "bare_ends": bare,
             "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
             "cancel_commands": list(toolpath.cancel_commands),
-            "modes": [mode.to_json() for mode in modes],
+            "modes": [modes.to_json() for modes in read_modes(text, [*bare, *ends])],
             "notes": list(road.notes),
             "renderer": self._draw().name,
         }, []
+
+    def reference(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
+        """The bed just before anything lies on it. blobs: the frame, JPEG. `taken` is false where the head hides it."""
+        inspector, road = self._opened()
+        return {"taken": inspector.take_reference(decode(blobs[0]), road.moment(Moment.from_json(moment)))}, []
 
     def check(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
         """One check of the print that is open. blobs: the frame, JPEG."""
         inspector, road = self._opened()
         return inspector.check(decode(blobs[0]), road.moment(Moment.from_json(moment))).to_json(), []
+
+    def still(self, blobs: list[bytes]) -> Answer:
+        """Whether nothing has moved between two frames. blobs: both, JPEG."""
+        return {"still": is_still(decode(blobs[0]), decode(blobs[1]))}, []
 
     def accept(self, blobs: list[bytes]) -> Answer:
         """The user goes on with the print as the last check saw it."""
@@ -137,6 +163,9 @@ class Eye:
     def close(self) -> None:
         self._renderer_stack.close()
 
+    def _read(self, job: str, cache: str) -> Toolpath:
+        return read_gcode(Path(job), cache_dir=Path(cache), progress=self._progress)
+
     def _draw(self) -> GlRenderer | CvRenderer:
         if self._renderer is None:
             self._renderer = open_renderer()
@@ -157,7 +186,7 @@ class Eye:
                 getattr(self, said[moment.frame])([])
 
 
-QUESTIONS = ("index", "open", "check", "accept", "pardon", "pictures")
+QUESTIONS = ("index", "open", "reference", "check", "still", "accept", "pardon", "pictures")
 
 
 def answer(eye: Eye, do: str, blobs: list[bytes], arguments: dict[str, Any]) -> Answer:
@@ -178,10 +207,11 @@ def _as_octoprint_counts(job: Path) -> bytes:
         return text.decode("utf-8", errors="replace").encode("utf-8")
 
 
-def _pack(job: Path, packed: Path) -> None:
+def _pack(source: IO[bytes], packed: Path) -> None:
+    """A packed copy of an open file, which is closed. It has been opened before, since its name may soon be another's."""
     partial = packed.with_name(packed.name + ".part")
     try:
-        with open(job, "rb") as source, gzip.open(partial, "wb", compresslevel=1) as target:
+        with source, gzip.open(partial, "wb", compresslevel=1) as target:
             shutil.copyfileobj(source, target, 1 << 20)
         os.replace(partial, packed)
     except OSError:  # a full disk costs the recording, never the check
@@ -202,7 +232,16 @@ def main() -> int:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints must not tear an answer apart
     _step_back()
-    eye = Eye()
+    head: dict[str, Any] = {}
+    told_s = 0.0
+
+    def progress(ratio: float) -> None:
+        nonlocal told_s
+        if time.monotonic() - told_s > TELL_EVERY_S:
+            told_s = time.monotonic()
+            send(answers, {"id": head["id"], "progress": round(ratio, 3)})
+
+    eye = Eye(progress)
     try:
         while True:
             try:

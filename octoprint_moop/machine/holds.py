@@ -21,6 +21,8 @@ from typing import Any, Callable, Protocol
 log = logging.getLogger("octoprint.plugins.moop.holds")
 
 SETTLE_TAG = "moop:settle"
+BARE = -1
+"""The layer of a hold at which nothing lies on the bed yet."""
 _REPORT = re.compile(
     r"X:\s*(-?\d+(?:\.\d+)?)\s*Y:\s*(-?\d+(?:\.\d+)?)\s*Z:\s*(-?\d+(?:\.\d+)?)(?:\s*E:\s*(-?\d+(?:\.\d+)?))?"
 )
@@ -35,7 +37,7 @@ class Printer(Protocol):
 
 @dataclass(eq=False)
 class Hold:
-    """The job stands at `file_pos`; `layer` is the one that ended there, or is being printed where none ends.
+    """The job stands at `file_pos`; `layer` is the one that ended there, or is being printed where none ends, or BARE.
 
     over     : set when waiting is over: the printer reported its position, or the hold has lost its purpose
     dropped  : why it has lost its purpose, "" while it has not
@@ -100,13 +102,16 @@ class Holds:
     # --- for the watching thread ----------------------------------------------------------------------------------
 
     def plan(
-        self, ends: Sequence[int], every_layers: int = 1, after_pos: float = -1, not_before_s: float = 0.0
-    ) -> None:
+        self, ends: Sequence[int], every_layers: int = 1, after_pos: float = -1, not_before_s: float = 0.0,
+        bare_ends: Sequence[int] = (),
+    ) -> None:  # fmt: skip
         """Hold at the end of every so many layers, from `after_pos` on, not before `not_before_s` (monotonic).
 
         every_layers : 0 to hold at the slicer's marks only
+        bare_ends    : positions before the first layer at which to hold besides
         """
         wanted = {pos: layer for layer, pos in enumerate(ends) if every_layers and (layer + 1) % every_layers == 0}
+        wanted.update(dict.fromkeys(bare_ends, BARE))
         plan = _Plan(ends, wanted, sorted(wanted), not_before_s)
         self._plan = plan
         self._next_pos = plan.after(after_pos)

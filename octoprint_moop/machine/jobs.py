@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from dataclasses import dataclass, field
@@ -35,6 +36,22 @@ class Job:
     over: threading.Event = field(default_factory=threading.Event)
 
 
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """A file that is to be read before anybody prints it. unwanted: set where something else comes first."""
+
+    path: str
+    unwanted: threading.Event = field(default_factory=threading.Event)
+
+    def stamp(self) -> tuple[str, float, int]:
+        """What changes when the file does; all of it zero where there is no such file."""
+        try:
+            found = os.stat(self.path)
+        except OSError:
+            return self.path, 0.0, 0
+        return self.path, found.st_mtime, found.st_size
+
+
 @dataclass
 class Print:
     """What the watching thread knows of the print that runs. Nobody else touches it.
@@ -42,6 +59,9 @@ class Print:
     mesh      : as in Job; a user may change it while printing
     ready     : the eye knows what must be seen of it
     by_height : a mesh alone tells that, and no layer's end is known
+    ends, bare_ends : file positions of the layers' ends, and of those before the first bead
+    modes           : what the file has set at each of these
+    reference       : the empty bed, JPEG, and what a header says of it; empty where it was not seen
     """
 
     job: Job
@@ -51,8 +71,10 @@ class Print:
     began_s: float = field(default_factory=time.monotonic)
     recorder: Recorder | None = None
     ends: list[int] = field(default_factory=list)
+    bare_ends: list[int] = field(default_factory=list)
     bounds_mm: list[list[float]] = field(default_factory=list)
-    modes: list[Modes] = field(default_factory=list)
+    modes: dict[int, Modes] = field(default_factory=dict)
+    reference: tuple[Any, ...] = ()
     born: int = 0
     revivals: int = 0
     last_pos: float = -1
@@ -61,6 +83,7 @@ class Print:
     frames: int = 0
     last_frame: str = ""
     switched_off: bool = False
+    blind_s: float = 0.0
     cancelled: dict[str, int] = field(default_factory=dict)
     said: dict[str, str] = field(default_factory=dict)
 

@@ -30,14 +30,14 @@ class Ledger:
         self._status: dict[str, Any] = {
             "watching": False, "blind": IDLE, "blind_code": blindness.IDLE, "job": None, "layer": None, "layers": None,
             "checks": 0, "last_check": None, "action": "none", "reason": "", "renderer": "", "road": "gcode",
-            "version": version, "held_s": 0.0,
+            "version": version, "held_s": 0.0, "reading": None,
         }  # fmt: skip
 
     # --- read by anybody ------------------------------------------------------------------------------------------
 
     @property
     def status(self) -> dict[str, Any]:
-        """FORMATS.md, section 5; `held_s` besides: for how long this print has been held so far."""
+        """docs/formats.md, section 5."""
         status = self._status
         if status["last_check"] is None:
             return status
@@ -88,6 +88,14 @@ class Ledger:
             self._tell("blind", {
                 "job": after["job"], "layer": after["layer"], "code": after["blind_code"], "reason": after["blind"],
             })  # fmt: skip
+
+    def tell_unwatched(self) -> None:
+        """A print goes on (or was paused) that nobody has watched for long."""
+        status = self._status
+        self._tell("unwatched", {
+            "job": status["job"], "layer": status["layer"], "code": status["blind_code"], "reason": status["reason"],
+            "action": status["action"],
+        })  # fmt: skip
 
     def add(self, check: dict[str, Any], pictures: dict[str, bytes], held_s: float) -> None:
         """A check that was made; what it says about being blind goes into the status."""

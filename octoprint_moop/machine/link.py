@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Callable
 
 from ..core.errors import MoopError
 from .pipe import receive, send
@@ -42,6 +42,7 @@ class _Question:
     blobs: Sequence[bytes]
     answered: threading.Event = field(default_factory=threading.Event)
     answer: tuple[dict[str, Any], list[bytes]] | None = None  # None once answered: the eye has gone
+    progress: float | None = None
 
 
 class EyeLink:
@@ -63,10 +64,12 @@ class EyeLink:
         *blobs: bytes,
         timeout_s: float,
         interrupted: threading.Event | None = None,
+        progress: Callable[[float], None] | None = None,
         **arguments: Any,
     ) -> tuple[dict[str, Any], list[bytes]]:
         """The eye's answer: JSON and bytes.
 
+        progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it
         Raises the eye's own MoopError; EyeGone where it dies or is ended for taking longer than `timeout_s`;
         Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
         """
@@ -78,10 +81,13 @@ class EyeLink:
             self._next_id += 1
             question = _Question({"id": self._next_id, "do": do, "arguments": arguments}, blobs)
         child.questions.put(question)
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s, told = time.monotonic() + timeout_s, None
         while not question.answered.wait(0.02 if interrupted is not None else min(0.5, timeout_s)):
             if interrupted is not None and interrupted.is_set():
                 raise Interrupted(f"Nobody waits any more for the answer to {do!r}.")
+            if progress is not None and question.progress != told:
+                told = question.progress
+                progress(told or 0.0)
             if time.monotonic() > deadline_s:
                 child.kill()
                 raise EyeGone(f"Looking took longer than {timeout_s:.0f} s and was given up.")
@@ -160,6 +166,9 @@ class _Child:
                 head: dict[str, Any] = {}
                 while head.get("id") != question.head["id"]:
                     head, blobs = receive(self._process.stdout)
+                    if "progress" in head:
+                        question.progress = head["progress"]
+                        head = {}
                 question.answer = (head, blobs)
                 question.answered.set()
         except (EOFError, OSError):

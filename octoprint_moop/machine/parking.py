@@ -8,7 +8,6 @@ relative, in inches or in doubt, the head stays where it is (or keeps its filame
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +20,7 @@ _FAR = 1 << 20
 
 @dataclass(frozen=True)
 class Modes:
-    """What the file has set at a layer's end, so far as it matters here.
+    """What the file has set at one place, so far as it matters here.
 
     plain      : positions are absolute and in millimetres
     relative_e : whether filament is; None where firmwares do not agree (G90 and G91 change it for some)
@@ -104,9 +103,3 @@ def _feed_before(text: bytes, end: int) -> float | None:
         if number and b";" not in before and _MOVE.match(before):
             return float(number.group(1))
     return None
-
-
-def modes_at(modes: Sequence[Modes], ends: Sequence[int], file_pos: int) -> Modes | None:
-    """The modes where the job is held; None where that is not a layer's end, and nothing is known."""
-    index = bisect_left(ends, file_pos)
-    return modes[index] if index < len(modes) and ends[index] == file_pos else None

@@ -51,24 +51,31 @@ class Recorder:
         except OSError as error:
             self._give_up(error)
 
-    def add_reference(self, jpeg: bytes) -> None:
-        """The empty bed, before the print."""
+    def add_reference(self, jpeg: bytes, reference: dict[str, Any]) -> None:
+        """The empty bed, before the print. reference: what the header says of it."""
         if self.folder is not None:
+            self._header = {**self._header, "reference": reference}
             try:
+                # The header first: a power cut between the two leaves a place without a picture, which harms nobody.
+                write_json(self.folder / "recording.json", self._header)
                 (self.folder / "reference.jpg").write_bytes(jpeg)
             except OSError as error:
                 self._give_up(error)
 
     def renew(self, header: dict[str, Any]) -> None:
         """What the header says of the print has changed."""
+        self._header = header
         if self.folder is not None:
             try:
                 write_json(self.folder / "recording.json", header)
             except OSError as error:
                 self._give_up(error)
 
-    def add(self, jpeg: bytes, moment: dict[str, Any], check: dict[str, Any] | None) -> None:
-        """One frame with its moment, and what was concluded, None where nothing was. The frame's name is `moment`'s."""
+    def add(self, jpeg: bytes, moment: dict[str, Any], check: dict[str, Any], final: bool = True) -> None:
+        """One frame with its moment, and what was concluded. The frame's name is `moment`'s.
+
+        final : False where a second look in the same hold was to confirm it
+        """
         self._frames += 1
         if self.folder is None:
             return
@@ -76,8 +83,8 @@ class Recorder:
             # The picture first: a power cut between the two leaves a picture too many, never a line without one.
             (self.folder / moment["frame"]).write_bytes(jpeg)
             _append(self.folder / "frames.jsonl", moment)
-            if check is not None:
-                _append(self.folder / "checks.jsonl", check)
+            _append(self.folder / "checks.jsonl", check)
+            if final:
                 self._note(check)
             if self._frames % 50 == 0:
                 self._make_room()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Callable
 
 from ..core.errors import GcodeError, MeshError
 from ..core.expected.meshroad import MeshRoad, by_height, sliced
@@ -69,15 +69,21 @@ class Road:
         return moment if self.layer_height_mm is None else by_height(moment, self.toolpath, self.layer_height_mm)
 
 
-def find_road(job: Path | None, mesh: MeshChoice | None = None, cache: Path | None = None) -> Road:
+def find_road(
+    job: Path | None,
+    mesh: MeshChoice | None = None,
+    cache: Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Road:
     """job : the G-code file, None where there is none, as with a print from the printer's own storage.
+    progress : called with the ratio read, 0 to 1
 
     Raises GcodeError and MeshError; a file that cannot be read as G-code is no error where a mesh with its layer
     height stands in for it.
     """
     why, toolpath = "There is no G-code to be read.", None
     try:
-        toolpath = None if job is None else read_gcode(job, cache_dir=cache)
+        toolpath = None if job is None else read_gcode(job, cache_dir=cache, progress=progress)
     except GcodeError as error:
         if mesh is None:
             raise

@@ -10,20 +10,23 @@ import logging
 import queue
 import threading
 import time
-from dataclasses import asdict, dataclass
+from collections import deque
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Callable
 
-from ..core.errors import FrameError, MoopError
+from ..core.errors import MoopError
 from ..core.settings import Settings
 from . import blindness
 from .acting import Actor
-from .holds import Hold, Holds
-from .jobs import Job, Print
+from .holds import BARE, Hold, Holds
+from .jobs import Ahead, Job, Print
 from .ledger import Ledger
 from .link import EyeGone, EyeLink, Interrupted
-from .parking import Modes, Park, modes_at
+from .looks import Look, Looks
+from .parking import Modes
 from .recorder import Recorder
+from .resting import Resting
 from .webcam import Webcam
 
 log = logging.getLogger("octoprint.plugins.moop.watch")
@@ -37,13 +40,6 @@ GLANCE_S = 1.5
 """How long a picture may take while the firmware stands still."""
 REST_S = 600.0
 """After so long without a print the eye is closed, and its memory given back."""
-
-
-@dataclass(frozen=True)
-class _Look:
-    jpeg: bytes
-    moment: dict[str, Any]
-    check: dict[str, Any]
 
 
 class Watch:
@@ -60,15 +56,18 @@ class Watch:
         ledger: Ledger,
     ) -> None:
         """printer : OctoPrint's; what is used of it is said by the protocols in `holds` and `acting`"""
-        self._webcam, self._eye = webcam, eye
+        self._printer, self._eye = printer, eye
         self._recordings, self._cache = recordings, cache
         self._settings, self._ledger = settings, ledger
         self._mailbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self.holds = Holds(printer, lambda hold: self._mailbox.put(lambda: self._look(hold)))
-        self.actor = Actor(printer)
+        self._looks = Looks(self.holds, webcam, eye)
+        self._actor, self._resting = Actor(printer), Resting(printer)
         self._print: Print | None = None
         self._job: Job | None = None
         self._paused = False
+        self._ahead: deque[Ahead] = deque()
+        self._read_last: tuple[str, float, int] | None = None
         self._idle_since_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="moop.watch", daemon=True)
 
@@ -83,12 +82,17 @@ class Watch:
         if self._thread.is_alive():
             self._thread.join(5)
 
-    def job_selected(self, path: str) -> None:
+    def job_expected(self, path: str) -> None:
         """A file that will probably be printed: read it ahead, so that the first layers are watched too."""
-        self._mailbox.put(lambda: self._read_ahead(path))
+        ahead = Ahead(path)
+        self._ahead.append(ahead)
+        self._mailbox.put(lambda: self._read_ahead(ahead))
 
     def job_started(self, job: Job) -> None:
         self._job, self._paused = job, False
+        for ahead in list(self._ahead):
+            if ahead.path != job.path:  # what prints now comes first
+                ahead.unwanted.set()
         self._mailbox.put(lambda: self._begin(job))
 
     def job_stopping(self, why: str, lost: bool = False) -> None:
@@ -103,14 +107,24 @@ class Watch:
         self._mailbox.put(lambda: self._end(how))
 
     def job_paused(self) -> None:
-        """Ours or not: the hot end cools after a while only where we are the cause."""
+        """By us or not."""
         self._paused = True
-        if self._ledger.status["action"] == "pause" and self._settings.cool_after_min:
-            self.actor.cool_later(self._settings.cool_after_min * 60)
 
     def job_resumed(self) -> None:
         self._paused = False
         self._mailbox.put(self._go_on)
+
+    @property
+    def paused_by_us(self) -> bool:
+        return bool(self._ledger.status["action"] == "pause")
+
+    def pausing_commands(self) -> list[str]:
+        """What is to be sent when the print has been paused, after OctoPrint's own script."""
+        return _lines(self._settings.gcode_paused) if self.paused_by_us else []
+
+    def resuming_commands(self) -> list[str]:
+        """What is to be sent before OctoPrint's own script when the print is resumed: first of all the heaters."""
+        return [*self._resting.reheating(), *_lines(self._settings.gcode_resumed)] if self.paused_by_us else []
 
     def apply(self, settings: Settings) -> None:
         self._mailbox.put(lambda: self._apply(settings))
@@ -136,7 +150,7 @@ class Watch:
 
     def command_sent(self, command: str) -> None:
         """Somebody, ourselves perhaps, sent a command; it may make the firmware skip an object from now on."""
-        name = self.actor.cancelled_by(command)
+        name = self._actor.cancelled_by(command)
         if name is not None:
             self._mailbox.put(lambda: self._skip(name))
 
@@ -158,7 +172,7 @@ class Watch:
     def _begin(self, job: Job) -> None:
         self._print = current = Print(job, job.mesh)
         self.holds.plan_none()
-        self.actor.begin()
+        self._actor.begin()
         self._ledger.begin(job.name)
         if job.mesh is None and (job.why_not or job.path is None):
             self._ledger.blind(blindness.NOT_LOCAL, job.why_not or "This print's file is not OctoPrint's own.")
@@ -183,9 +197,10 @@ class Watch:
         again = again and current.ready
         try:
             result, _ = self._eye.ask(
-                "open", timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
-                job=None if job is None else str(job), header=self._header(current), settings=asdict(self._settings),
-                mesh=current.mesh, cache=str(self._cache), keep_as=str(packed) if packed is not None else None,
+                "open", *current.reference[:1], timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
+                progress=self._read_so_far, job=None if job is None else str(job), header=self._header(current),
+                settings=asdict(self._settings), mesh=current.mesh, cache=str(self._cache),
+                keep_as=str(packed) if packed is not None else None,
                 keep_mesh_as=str(folder / "model.stl") if folder is not None else None,
                 recording=str(folder) if again and folder is not None else None, said=current.said,
             )  # fmt: skip
@@ -197,13 +212,17 @@ class Watch:
         except MoopError as error:
             self._ledger.blind(error.code, str(error))
             return
+        finally:
+            self._ledger.note(reading=None)
         current.born, current.ready, current.by_height = self._eye.births, True, result["road"] == "height"
         current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
-        current.modes = [Modes.from_json(modes) for modes in result["modes"]]
+        current.bare_ends = result["bare_ends"]
+        modes = map(Modes.from_json, result["modes"])
+        current.modes = dict(zip([*current.bare_ends, *current.ends], modes))
         for note in result["notes"]:
             log.info("%s: %s", current.job.name, note)
         if not again:
-            self.actor.begin(result["objects"], result["cancel_commands"])
+            self._actor.begin(result["objects"], result["cancel_commands"])
         self._plan(current)
         self._ledger.note(renderer=result["renderer"], layers=result["layers"], road=result["road"])
         if result["layers"]:
@@ -231,126 +250,72 @@ class Watch:
         timer.start()
 
     def _look(self, hold: Hold) -> None:
-        """One check, from a hold to its release."""
-        current, look, gone = self._print, None, ""
+        """One check, or one picture of the empty bed, from a hold to its release."""
+        current, looks, gone = self._print, [], ""
         try:
             if current is not None:
-                current.last_pos, current.looked_s = hold.file_pos, hold.since_s
-                look = self._see(current, hold)
-                self._act(look.check)
+                current.last_pos = hold.file_pos
+                if hold.layer == BARE:
+                    self._look_at_bed(current, hold)
+                else:
+                    current.looked_s = hold.since_s
+                    looks = self._looks.check(current, hold, self._settings)
+                    self._act(looks[-1].check)
         except Interrupted as error:
-            log.info("Layer %d was not checked: %s", hold.layer, hold.dropped or error)
+            log.info("%s was not checked: %s", _named(hold), hold.dropped or error)
         except EyeGone as error:
             gone = str(error)
         except MoopError as error:
-            log.warning("Layer %d was not checked: %s", hold.layer, error)
+            log.warning("%s was not checked: %s", _named(hold), error)
             self._ledger.blind(error.code, str(error))
         except Exception as error:
-            log.exception("Layer %d was not checked", hold.layer)
-            self._ledger.blind(
-                blindness.BUG, f"Checking failed ({type(error).__name__}). The log has the details."
-            )
+            log.exception("%s was not checked", _named(hold))
+            self._ledger.blind(blindness.BUG, f"Checking failed ({type(error).__name__}). The log has the details.")
         finally:
             if current is not None and not gone:
                 self._plan(current)
             self.holds.release(hold)
         if current is not None and gone:
-            log.warning("Layer %d was not checked: %s", hold.layer, gone)
+            log.warning("%s was not checked: %s", _named(hold), gone)
             self._revive_later(current, gone)
-        if current is not None and look is not None:
-            self._keep(current, look, time.monotonic() - hold.since_s)
+        if current is not None and looks:
+            self._keep(current, looks, time.monotonic() - hold.since_s)
+            if looks[-1].check["action"] == "cancel_object":  # it stays where it lies: only what changes now counts
+                self._tell_eye("accept")
 
-    def _see(self, current: Print, hold: Hold) -> _Look:
-        """Wait until the printer stands still, take a picture, and have it checked.
-
-        Raises Interrupted, FrameError, EyeGone, and what the eye raises.
-        """
-        self._settle(hold)
-        moves = self._moves(current, hold)
-        if moves is None:
-            return self._picture(current, hold)
-        away, back = moves
-        try:
-            self.holds.move(hold, away)
-            self._settle(hold)
-            return self._picture(current, hold)
-        finally:
-            self.holds.move_back(hold, back)
-
-    def _settle(self, hold: Hold) -> None:
-        """Wait for the printer's report, and a little longer. Raises MoopError without one, Interrupted."""
-        timeout_s = self._settings.settle_timeout_s
-        if not hold.over.wait(timeout_s):
-            raise blindness.NoReport(
-                f"The printer did not report its position within {timeout_s:.0f} s. "
-                "If that happens again, its firmware may not know M114."
-            )
-        if hold.position_mm is None or hold.stopped.wait(0):
-            raise Interrupted(hold.dropped)
-
-    def _moves(self, current: Print, hold: Hold) -> tuple[list[str], list[str]] | None:
-        """Away and back, where the head is to be parked, is not out of the way already, and may be moved."""
-        settings, position_mm = self._settings, hold.position_mm
-        modes = modes_at(current.modes, current.ends, hold.file_pos)
-        if settings.capture != "park" or position_mm is None or modes is None or current.stands_clear(position_mm):
-            return None
-        volume_mm = (current.job.header or {})["printer"]["volume_mm"]
-        park = Park(
-            current.park_at_mm(settings.park_at), settings.park_lift_mm, settings.park_retract_mm,
-            settings.park_speed_mm_s, volume_mm["height"],
-        )  # fmt: skip
-        return park.moves(position_mm, hold.e_mm, modes)
-
-    def _picture(self, current: Print, hold: Hold) -> _Look:
-        """Take a picture of the print as it stands now, and have it checked. Raises as `_see`."""
-        if hold.stopped.wait(self._settings.settle_s) or hold.position_mm is None:
-            raise Interrupted(hold.dropped)
-        deadline_s = time.monotonic() + self._settings.check_timeout_s
-        jpeg = self._fresh(current, hold, deadline_s)
-        x, y, z = hold.position_mm
-        moment = {
-            "frame": f"frames/{current.frames:06d}.jpg", "file_pos": hold.file_pos, "layer": hold.layer,
-            "position_mm": {"x": x, "y": y, "z": z}, "time_s": round(time.monotonic() - current.began_s, 3),
-            "parked": hold.marked or current.stands_clear(hold.position_mm),
-            **({"cancelled": dict(current.cancelled)} if current.cancelled else {}),
-        }  # fmt: skip
-        current.frames += 1
-        if self._eye.births != current.born:
-            raise EyeGone("The process that looks at the pictures was started anew.")
-        check, _ = self._eye.ask(
-            "check", jpeg, timeout_s=max(deadline_s - time.monotonic(), 1.0), interrupted=hold.stopped, moment=moment
-        )
-        moment["layer"] = check["layer"]  # by height, only the eye can tell
-        return _Look(jpeg, moment, check)
-
-    def _fresh(self, current: Print, hold: Hold, deadline_s: float) -> bytes:
-        """A picture that is not, byte for byte, the one of the last check: no sensor delivers the same noise twice."""
-        for attempt in range(3):
-            if attempt and hold.stopped.wait(0.5):
-                raise Interrupted(hold.dropped)
-            jpeg = self._webcam.grab(max(deadline_s - time.monotonic(), 0.5), hold.stopped)
-            if jpeg != current.last_jpeg:
-                current.last_jpeg = jpeg
-                return jpeg
-        raise FrameError("The webcam delivers the same picture again and again. Restart it.")
+    def _look_at_bed(self, current: Print, hold: Hold) -> None:
+        if self._looks.reference(current, hold, self._settings):
+            if current.recorder is not None:
+                current.recorder.add_reference(*current.reference)
+            log.info("The empty bed was looked at, %.2f s", time.monotonic() - hold.since_s)
+        else:
+            log.info("The head stands before the bed: no picture of it was taken here")
 
     def _act(self, check: dict[str, Any]) -> None:
-        check["action"] = self.actor.act(check, self._settings.on_failed)
+        check["action"] = self._actor.act(check, self._settings.on_failed, self._settings.on_suspect)
         if check["action"] != "none":
-            log.warning("Layer %d failed: %s Action: %s", check["layer"], check["reason"], check["action"])
-            self._ledger.note(action=check["action"], reason=check["reason"])
+            what = "Layer %d is " + check["verdict"] + ": %s Action: %s"
+            log.warning(what, check["layer"], check["reason"], check["action"])
+            self._acted(check["action"], check["reason"])
 
-    def _keep(self, current: Print, look: _Look, held_s: float) -> None:
+    def _acted(self, action: str, reason: str) -> None:
+        if action == "pause":
+            self._resting.begin(self._settings.cool_after_min * 60, self._settings.bed_off_after_min * 60)
+        self._ledger.note(action=action, reason=reason)
+
+    def _keep(self, current: Print, looks: list[Look], held_s: float) -> None:
         """After the release: keep the pictures, write the recording, tell everybody."""
-        current.revivals, current.last_frame = 0, look.moment["frame"]
-        check, pictures = look.check, {"frame.jpg": look.jpeg}
+        last = looks[-1]
+        current.revivals, current.last_frame = 0, last.moment["frame"]
+        check, pictures = last.check, {"frame.jpg": last.jpeg}
         try:
             _, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over)
             pictures.update(zip(("seen.png", "expected.png", "ignored.png"), masks))
         except MoopError as error:
-            log.debug("No pictures of %s: %s", look.moment["frame"], error)
+            log.debug("No pictures of %s: %s", last.moment["frame"], error)
         if current.recorder is not None:
-            current.recorder.add(look.jpeg, look.moment, check)
+            for look in looks:
+                current.recorder.add(look.jpeg, look.moment, look.check, final=look is last)
         log.info("Layer %d: %s, error %s, held %.2f s", check["layer"], check["verdict"], check["E"], held_s)
         self._ledger.note(layer=check["layer"])
         self._ledger.add(check, pictures, held_s)
@@ -361,7 +326,8 @@ class Watch:
         settings = self._settings
         not_before_s = 0.0 if current.looked_s is None else current.looked_s + settings.min_interval_s
         every_layers = 0 if settings.capture == "slicer" else settings.every_layers
-        self.holds.plan(current.ends, every_layers, current.last_pos, not_before_s)
+        bare_ends = current.bare_ends if not current.reference else ()
+        self.holds.plan(current.ends, every_layers, current.last_pos, not_before_s, bare_ends)
 
     def _tick(self) -> None:
         """What nobody else thinks of: what the hooks noticed but had no time to say, and what does not come at all."""
@@ -370,6 +336,8 @@ class Watch:
             if time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:
                 self._eye.close()
             return
+        if not self._ledger.status["watching"]:
+            self._mind_being_blind(current)
         if current.by_height and not self.holds.refused:
             self._look_by_height(current)
         elif not self._ledger.status["watching"]:
@@ -398,23 +366,42 @@ class Watch:
         else:
             self.holds.glance(self._settings.settle_s + GLANCE_S)
 
+    def _mind_being_blind(self, current: Print) -> None:
+        """A print that should be watched and is not: after a while the user is told, or the print is paused."""
+        settings, status = self._settings, self._ledger.status
+        if status["blind_code"] in blindness.WANTED or settings.on_blind == "none" or not self._printer.is_printing():
+            return
+        before_s = current.blind_s
+        current.blind_s += TICK_S  # ticks come only while nothing else is to be done, so this is the least it can be
+        if not before_s < settings.blind_min * 60 <= current.blind_s:
+            return
+        reason = f"Nobody has watched this print for {settings.blind_min:g} min. {status['blind']}"
+        log.warning("%s Action: %s", reason, settings.on_blind)
+        if settings.on_blind == "pause":
+            self._actor.pause()
+        self._acted(settings.on_blind, reason)
+        self._ledger.tell_unwatched()
+
     def _end(self, how: str) -> None:
         current, self._print = self._print, None
         self._idle_since_s = time.monotonic()
-        self.actor.forget_cooling()
+        self._resting.end()
         if current is not None and current.recorder is not None:
             current.recorder.end(how)
         self._ledger.idle()
 
     def _go_on(self) -> None:
         """The user resumed the print. Where we had paused it, it is accepted as it stands: only what is new counts."""
-        self.actor.forget_cooling()
+        self._resting.end()
         if self._ledger.status["action"] == "pause":
             self._settle_it("accept")
 
     def _settle_it(self, how: str) -> None:
         """What failed is settled, by `accept` or `pardon`; remembered, too, for an eye that has to begin anew."""
         self._ledger.note(action="none", reason="")
+        self._tell_eye(how)
+
+    def _tell_eye(self, how: str) -> None:
         current = self._print
         if current is None or not current.last_frame:
             return
@@ -428,14 +415,28 @@ class Watch:
         if self._print is not None:
             self._print.cancelled.setdefault(name, max(int(self._print.last_pos), 0))
 
-    def _read_ahead(self, path: str) -> None:
-        if self._print is None:
-            self._idle_since_s = time.monotonic()
-            try:
-                result, _ = self._eye.ask("index", timeout_s=OPEN_TIMEOUT_S, job=path, cache=str(self._cache))
-                self._ledger.note(renderer=result["renderer"])
-            except MoopError as error:
-                log.info("%s: %s", path, error)
+    def _read_ahead(self, ahead: Ahead) -> None:
+        self._ahead.remove(ahead)
+        stamp = ahead.stamp()
+        if self._print is not None or ahead.unwanted.is_set() or (self._eye.pid and stamp == self._read_last):
+            return
+        self._idle_since_s = time.monotonic()
+        try:
+            result, _ = self._eye.ask(
+                "index", timeout_s=OPEN_TIMEOUT_S, interrupted=ahead.unwanted, progress=self._read_so_far,
+                job=ahead.path, cache=str(self._cache),
+            )  # fmt: skip
+            self._read_last = stamp
+            self._ledger.note(renderer=result["renderer"])
+        except Interrupted:
+            self._eye.close()  # it would go on reading
+        except MoopError as error:
+            log.info("%s: %s", ahead.path, error)
+        finally:
+            self._ledger.note(reading=None)
+
+    def _read_so_far(self, ratio: float) -> None:
+        self._ledger.note(reading=ratio)
 
     def _apply(self, settings: Settings) -> None:
         before, self._settings = self._settings, settings
@@ -495,4 +496,15 @@ class Watch:
         head = {"format": "moop-recording", "version": 1, "job": {"file": file, "bytes": size}}
         if current.mesh is not None:
             head["mesh"] = {"file": "model.stl", "layer_height_mm": current.mesh.get("layer_height_mm")}
-        return {**head, **(current.job.header or {}), "material": material}
+        taken = {"reference": current.reference[1]} if current.reference else {}
+        return {**head, **(current.job.header or {}), "material": material, **taken}
+
+
+def _lines(gcode: str) -> list[str]:
+    """The commands of a setting, without comments."""
+    commands = (line.split(";")[0].strip() for line in gcode.splitlines())
+    return [command for command in commands if command]
+
+
+def _named(hold: Hold) -> str:
+    return "The empty bed" if hold.layer == BARE else f"Layer {hold.layer}"

@@ -6,7 +6,7 @@ import pytest
 
 from octoprint_moop.core.errors import FrameError
 from octoprint_moop.core.view.glance import Glance
-from octoprint_moop.core.view.usable import Occluders, refuse_unusable
+from octoprint_moop.core.view.usable import Occluders, is_still, refuse_unusable
 
 
 @pytest.fixture
@@ -48,6 +48,20 @@ def test_a_picture_cut_off_in_transfer_is_torn(frame):
 
 def small(picture: np.ndarray) -> np.ndarray:
     return Glance(picture).quarter
+
+
+@pytest.mark.parametrize("gain", [0.85, 1.0, 1.15])
+def test_noise_and_a_lamp_that_flickers_are_no_motion(frame, gain):
+    noise = np.random.default_rng(8).normal(0, 4, frame.shape)
+    assert is_still(frame, np.clip(frame * gain + noise, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("step_px", [12, 40])
+def test_a_head_that_goes_on_is_motion(frame, step_px):
+    first, second = frame.copy(), frame.copy()
+    first[100:220, 200:280] = second[100:220, 200 + step_px : 280 + step_px] = 15
+    assert not is_still(first, second)
+    assert is_still(first, first.copy())
 
 
 def test_a_hand_is_found_and_filament_is_not_taken_for_one(frame):

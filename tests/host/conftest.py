@@ -25,3 +25,17 @@ def shared_room(tmp_path_factory):
 def room(shared_room):
     yield shared_room
     shared_room.settle_down()
+
+
+@pytest.fixture
+def saved(room):
+    """Save settings for one test."""
+    now = room.server.api("GET", "/api/settings")["plugins"]["moop"]
+    names = (
+        "capture", "on_failed", "on_suspect", "on_blind", "blind_min", "longest_s", "every_layers", "cool_after_min",
+        "bed_off_after_min", "gcode_paused", "gcode_resumed", "min_interval_s", "watch_prints", "webcam", "record",
+        "check_timeout_s",
+    )  # fmt: skip
+    before = {name: now[name] for name in names}
+    yield room.save
+    room.save(**before)

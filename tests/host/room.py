@@ -48,6 +48,21 @@ def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3) 
     return "\n".join(out) + "\n"
 
 
+def two_boxes_gcode(layers: int = 12) -> str:
+    """Two boxes beside each other, labelled as Klipper has it: `left` and `right`."""
+    out = ["EXCLUDE_OBJECT_DEFINE NAME=left", "EXCLUDE_OBJECT_DEFINE NAME=right", "G21", "G90", "M83", "G28", "G4 P1500"]
+    for layer in range(layers):
+        for name, x0 in (("left", 60.0), ("right", 125.0)):
+            out.append(f"EXCLUDE_OBJECT_START NAME={name}")
+            out.append(f"G1 X{x0:.3f} Y92.000 Z{0.3 * (layer + 1):.3f} F12000")
+            for row in range(20):
+                x_from, x_to = (x0, x0 + 16) if row % 2 == 0 else (x0 + 16, x0)
+                out.append(f"G1 X{x_from:.3f} Y{92 + row * 0.8:.3f} F12000")
+                out.append(f"G1 X{x_to:.3f} Y{92 + row * 0.8:.3f} E1.597 F9000")
+            out.append(f"EXCLUDE_OBJECT_END NAME={name}")
+    return "\n".join([*out, "G1 Z60 F3000"]) + "\n"
+
+
 def camera() -> Camera:
     """Before the bed's front edge, 170 mm up, looking at the middle of the bed."""
     eye, target = np.array([100.0, -130.0, 170.0]), np.array([100.0, 100.0, 5.0])
@@ -64,6 +79,11 @@ def header() -> dict[str, Any]:
     return Header(printer, ((None, camera()),), HsvThresholds(10, 45, 0.4, 0.3)).to_json()
 
 
+def slid(mask: np.ndarray) -> np.ndarray:
+    """The same matter, come off the bed and lying elsewhere."""
+    return np.roll(mask, (10, 40), (0, 1))
+
+
 class PaintedWebcam:
     """Serves snapshots over HTTP.
 
@@ -78,7 +98,7 @@ class PaintedWebcam:
         coarse = rng.integers(70, 150, (HEIGHT // 12, WIDTH // 12, 1), dtype=np.uint8).repeat(3, axis=2)
         self._bed = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
         self._rng = rng
-        self._views: ExpectedViews | None = None
+        self.views: ExpectedViews | None = None
         self.file_pos: Callable[[], int] = lambda: 0
         self.slides_at = 10**9
         self.answer = "picture"
@@ -91,10 +111,12 @@ class PaintedWebcam:
         self.url = f"http://127.0.0.1:{self._server.server_port}/?action=snapshot"
 
     def look_at(self, gcode: Path) -> None:
-        self._views = ExpectedViews(read_gcode(gcode), camera(), BedMotion("fixed"), CvRenderer())
+        self.views = ExpectedViews(read_gcode(gcode), camera(), BedMotion("fixed"), CvRenderer())
 
     def reset(self) -> None:
         self.slides_at, self.answer, self.before, self.shown = 10**9, "picture", lambda: None, b""
+        for name in ("mask", "jpeg"):  # what a test has put in their place
+            vars(self).pop(name, None)
 
     def close(self) -> None:
         self._server.shutdown()
@@ -104,14 +126,16 @@ class PaintedWebcam:
         if self.shown:
             return self.shown
         frame = self._bed.copy()
-        if self._views is not None:
-            file_pos = self.file_pos()
-            mask = self._views.at(file_pos, (0.0, 0.0, 0.0)).mask
-            if file_pos > self.slides_at:
-                mask = np.roll(mask, (10, 40), (0, 1))
-            frame[mask > 0] = FILAMENT_BGR
+        if self.views is not None:
+            frame[self.mask(self.file_pos()) > 0] = FILAMENT_BGR
         noisy = np.clip(frame + self._rng.normal(0, 3, frame.shape), 0, 255).astype(np.uint8)
         return cv2.imencode(".jpg", noisy, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+
+    def mask(self, file_pos: int) -> np.ndarray:
+        """(H, W) uint8, 255 where there is matter. A test may put another in its place."""
+        assert self.views is not None
+        mask = self.views.at(file_pos, (0.0, 0.0, 0.0)).mask
+        return slid(mask) if file_pos > self.slides_at else mask
 
     def _handler(self) -> type[http.server.BaseHTTPRequestHandler]:
         webcam = self

@@ -22,6 +22,10 @@ def main() -> None:
             os._exit(3)
         if do == "hang":
             time.sleep(60)
+        if do == "count":
+            for ratio in (0.25, 0.75):
+                send(sys.stdout.buffer, {"id": head["id"], "progress": ratio})
+                time.sleep(0.2)
         if do == "sleep":
             time.sleep(arguments["s"])
         if do == "babble":

@@ -5,7 +5,7 @@ from octoprint_moop.machine.acting import WELL_CHECKS, Actor
 
 class Printer:
     def __init__(self):
-        self.done, self.temperatures = [], {"tool0": {"target": 215.0}, "bed": {"target": 60.0}}
+        self.done = []
 
     def pause_print(self, *, tags):
         self.done.append("pause")
@@ -15,12 +15,6 @@ class Printer:
 
     def commands(self, commands, *, tags):
         self.done += commands
-
-    def set_temperature(self, heater, value):
-        self.done.append(f"{heater}={value}")
-
-    def get_current_temperatures(self):
-        return self.temperatures
 
 
 @pytest.fixture
@@ -82,24 +76,17 @@ def test_telling_alone_touches_nothing(actor, printer):
     assert printer.done == []
 
 
-@pytest.mark.parametrize(
-    ("temperatures", "commands"),
-    [
-        ({"tool0": {"target": 215.0}, "bed": {"target": 60.0}}, ["M109 S215"]),
-        ({"tool0": {"target": 215.0}, "tool1": {"target": 230.0}}, ["M109 T0 S215", "M109 T1 S230"]),
-        ({"tool0": {"target": 0}, "bed": {"target": 60.0}}, []),
-    ],
-)
-def test_hot_ends_are_turned_off_and_heated_again_once_and_the_bed_is_left(actor, printer, temperatures, commands):
-    printer.temperatures = temperatures
-    actor.cool_later(0)
-    actor._cooling.join()
-    assert "bed=0" not in printer.done
-    assert actor.reheating() == commands
-    assert actor.reheating() == []
+def test_a_cancelled_object_is_gone_for_good_whoever_cancelled_it(printer):
+    actor = Actor(printer)
+    actor.begin(["ship", "flag"], ["M486 P0", "M486 P1"])
+    assert actor.cancelled_by("M486 P0") == "ship" and actor.cancelled_by("M105") is None
+    assert actor.act(failed("flag"), "cancel_object") == "pause", "nothing would be left to print"
 
 
-def test_who_resumes_in_time_finds_it_hot(actor, printer):
-    actor.cool_later(60)
-    actor.forget_cooling()
-    assert actor.reheating() == [] and printer.done == []
+def test_what_is_suspected_is_told_once_and_what_then_fails_is_acted_on(actor, printer):
+    suspect = {"verdict": "suspect", "objects": []}
+    assert actor.act(suspect, "pause", on_suspect="notify") == "notify"
+    assert actor.act(suspect, "pause", on_suspect="notify") == "none"
+    assert printer.done == []
+    assert actor.act(failed(), "pause", on_suspect="notify") == "pause"
+    assert actor.act(suspect, "pause", on_suspect="notify") == "none", "it is known to have failed"

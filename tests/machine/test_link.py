@@ -55,6 +55,13 @@ def test_an_eye_that_hangs_is_ended_in_time_even_while_a_large_picture_is_handed
         os.kill(first, 0)
 
 
+def test_how_far_it_is_is_told_before_the_answer(eye):
+    told, never = [], threading.Event()
+    assert eye.ask("count", timeout_s=10, interrupted=never, progress=told.append, x=1)[0] == {"x": 1}
+    assert told == [0.25, 0.75]
+    assert eye.ask("count", timeout_s=10, x=2)[0] == {"x": 2}, "nobody need listen"
+
+
 def test_an_answer_that_nobody_waits_for_any_more_is_dropped(eye):
     eye.ask("echo", timeout_s=10)
     interrupted = threading.Event()

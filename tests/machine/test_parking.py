@@ -1,6 +1,6 @@
 import pytest
 
-from octoprint_moop.machine.parking import Modes, Park, modes_at, read_modes
+from octoprint_moop.machine.parking import Modes, Park, read_modes
 
 PARK = Park((0.0, 200.0), lift_mm=1.0, retract_mm=0.8, speed_mm_s=150, height_mm=210)
 
@@ -80,5 +80,3 @@ def test_comments_do_not_change_modes_and_each_end_has_its_own():
     ends = [text.index(b"; G91"), text.index(b"M82\nG1 X3"), len(text)]
     modes = read_modes(text, ends)
     assert modes == [Modes(True, True, 900.0), Modes(True, True, 900.0), Modes(True, False, 1200.0)]
-    assert modes_at(modes, ends, ends[1]) == modes[1]
-    assert modes_at(modes, ends, ends[1] + 1) is None

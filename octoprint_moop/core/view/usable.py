@@ -12,6 +12,7 @@ TORN_ROWS_RATIO = 0.03
 OCCLUDER_RATIO = 0.012
 COLOUR_STEP = 28
 STILL_APART, STILL_NEAR = 1, 3  # for how many frames more a thing must lie as it did to be part of the scene
+REST_STEP, REST_RATIO = 20.0, 0.001  # grey levels, and the share of a picture at rest that may differ by more
 
 
 def refuse_unusable(frame_bgr: np.ndarray, previous_bgr: np.ndarray | None, glance: Glance | None = None) -> None:
@@ -32,6 +33,16 @@ def refuse_unusable(frame_bgr: np.ndarray, previous_bgr: np.ndarray | None, glan
         raise FrameError("The camera delivers the same picture again. Restart the webcam's stream.")
     if _flat_rows(frame_bgr) > TORN_ROWS_RATIO * len(frame_bgr):
         raise FrameError("The picture is torn: its lower part is missing. Check the webcam's cable or network.")
+
+
+def is_still(first_bgr: np.ndarray, second_bgr: np.ndarray) -> bool:
+    """Whether two frames, (H, W, 3) uint8, show the same scene but for noise and the light: nothing in it has moved."""
+    if first_bgr.shape != second_bgr.shape:
+        return False
+    first, second = Glance(first_bgr).quarter, Glance(second_bgr).quarter
+    change = second.astype(np.float32) - first
+    change -= np.median(change.reshape(-1, 3), axis=0)
+    return bool(np.count_nonzero(np.abs(change).max(axis=2) > REST_STEP) <= REST_RATIO * change[..., 0].size)
 
 
 def _same(a: np.ndarray, b: np.ndarray) -> bool:
