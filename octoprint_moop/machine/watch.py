@@ -336,16 +336,17 @@ class Watch:
             if time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:
                 self._eye.close()
             return
-        if not self._ledger.status["watching"]:
+        watching = self._ledger.status["watching"]
+        if watching:
+            current.blind_s = 0.0
+        else:
             self._mind_being_blind(current)
         if current.by_height and not self.holds.refused:
             self._look_by_height(current)
-        elif not self._ledger.status["watching"]:
+        elif not watching:
             return
         elif self.holds.refused:
-            self._ledger.blind(
-                blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused})."
-            )
+            self._ledger.blind(blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused}).")
         elif self.holds.missed >= 3:
             self._ledger.blind(
                 blindness.FILE_CHANGED,

@@ -12,7 +12,6 @@ from octoprint_moop.machine.recording import Recording
 
 from .room import FILAMENT_BGR, box_gcode
 
-
 WARMING_UP = "G4 P1500\n"
 """No printer starts at once, as the virtual one would."""
 
