@@ -41,6 +41,7 @@ def as_dict(toolpath: Toolpath, seconds: float) -> dict[str, object]:
         "segments": len(toolpath),
         "bounds_mm": [[round(float(v), 3) for v in corner] for corner in toolpath.bounds_mm()],
         "filament_mm": round(toolpath.filament_mm, 2),
+        "filament_own_mm": round(toolpath.filament_own_mm, 2),
         "objects": list(toolpath.objects),
         "slicer": toolpath.slicer,
         "bytes": toolpath.bytes,

@@ -39,7 +39,8 @@ class Toolpath:
     objects     : names of the labelled objects, in order of appearance
     cancelled   : objects that the file itself cancels: object index -> file position from which on it is not printed
     slicer      : name and version as the file tells it, or ""
-    filament_mm : filament used, net of retraction
+    filament_mm : filament used, net of retraction, counted as the slicer counts
+    filament_own_mm : what the user's own G-code feeds (start, tool changes), which some slicers count and some do not
     bytes       : length of the file in file positions
     notes       : sentences for the user about what could not be understood, e.g. how many lines were skipped
     cancel_commands : for each object, the command that makes the firmware skip it ("M486 P2", "EXCLUDE_OBJECT NAME=x"),
@@ -60,6 +61,7 @@ class Toolpath:
     bytes: int = 0
     notes: tuple[str, ...] = ()
     cancel_commands: tuple[str, ...] = ()
+    filament_own_mm: float = 0.0
 
     def __len__(self) -> int:
         return len(self.beads_mm)

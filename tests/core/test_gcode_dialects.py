@@ -20,7 +20,7 @@ ZOO = {
     "dsf_simplify3d": (49, 4375.5, 0),
     "dsf_slic3r": (77, 1482.1, 0),
     "icesl_multi": (42, None, 0),
-    "ideamaker_multi": (54, None, 4),  # its figure is the volume of the stated widths, not of its E
+    "ideamaker_multi": (54, 422.7, 4),
     "kirimoto_multi": (25, 225.03, 0),
     "kisslicer_2.0.6_multi": (36, 305.09, 0),
     "m486_multi": (25, 215.44, 4),

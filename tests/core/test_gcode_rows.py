@@ -71,9 +71,16 @@ MODES = st.sampled_from(
         "G90", "G91", "M82", "M83", "G20", "G21", "G28", "G28 X0 Y0", "G92", "G92 E0", "G92 E1.5", "G92 X10 Y-3", "G10",
         "G11", "G10 P0 S200", "G10 S1", "T0", "T1", "M221 S94", "M200 D1.75", "M200 D0", "M600", "G4 P1", "M106 S255",
         "M204 S1000", ";TYPE:Perimeter", ";WIDTH:0.45", "; printing object a id:0 copy 0", "@Object a", "PRINT_START",
+        "G53", "G54", "G55", "G59.2", "G53 G1 X5 Y6 E.2", "G53 G0 Z1", "G10 L2 P2 X5 Y6", "G10 L20 P1 X0 Y0 Z0.2", "G92.1",
+        "G10 R5 S3", "SAVE_GCODE_STATE NAME=A", "RESTORE_GCODE_STATE NAME=A", "RESTORE_GCODE_STATE NAME=A MOVE=1",
         "M117 X1 Y2 E3", "(a comment) G1 X1", "", "   ", "M486 S1", "EXCLUDE_OBJECT_START NAME=a", "G17", "M73 P1",
     ]
 )  # fmt: skip
+CURVES = st.builds(
+    lambda place, e: f"G5{place}{e}",
+    words("XYZIJPQ", -20, 20),
+    st.one_of(st.just(""), number(0, 5, 5).map(" E{}".format)),
+)
 ODD = st.sampled_from(
     [
         "g1 x10 y20 e.5", "G1X5Y6E1", "N12 G1 X3 Y4 E1*71", "G01 X1 Y2 E3", "G1 X 7 Y8 E2", "G1  X7 Y8 E2",
@@ -86,7 +93,7 @@ ODD = st.sampled_from(
         "G3 I5 E2",
     ]
 )  # fmt: skip
-LINE = st.one_of(PLAIN, PLAIN, PLAIN, ARCS, MODES, ODD)
+LINE = st.one_of(PLAIN, PLAIN, PLAIN, ARCS, CURVES, MODES, ODD)
 FILES = st.builds(
     lambda lines, endings, last: b"".join(
         line.encode() + endings[i % len(endings)] for i, line in enumerate(lines)

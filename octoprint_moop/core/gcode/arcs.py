@@ -1,4 +1,4 @@
-"""G2 and G3: arcs as chords."""
+"""G2, G3 and G5: arcs and curves as chords."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ def chords(
     centre_mm: np.ndarray,
     clockwise: np.ndarray,
     turns: np.ndarray,
+    most: int = MAX_CHORDS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Chords that leave their arcs by at most CHORD_ERROR_MM (where MAX_CHORDS suffice).
+    """Chords that leave their arcs by at most CHORD_ERROR_MM (where `most` suffice).
 
     start_mm, end_mm : (n, 3) float64. An arc that ends over its start is a full circle; Z climbs evenly (a helix).
     centre_mm        : (n, 2) float64; NaN gives one straight chord
@@ -41,7 +42,7 @@ def chords(
     with np.errstate(divide="ignore", invalid="ignore"):
         widest = 2.0 * np.arccos(1.0 - np.minimum(CHORD_ERROR_MM / radius, 0.5))
         count = np.ceil(np.abs(angle) / widest)
-    count = np.where(straight, 1, np.clip(np.nan_to_num(count, nan=1.0), 1, MAX_CHORDS)).astype(np.int64)
+    count = np.where(straight, 1, np.clip(np.nan_to_num(count, nan=1.0), 1, most)).astype(np.int64)
 
     which = np.repeat(np.arange(len(count)), count)
     ordinal = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count) + 1
@@ -68,3 +69,22 @@ def centres_by_radius(
     hopeless = (length < LEAST_MOVE_MM) | (np.abs(radius_mm) < LEAST_MOVE_MM)
     unit = chord / np.where(hopeless, np.nan, length)[:, None]
     return (start_mm + end_mm)[:, :2] / 2.0 + np.column_stack([-unit[:, 1], unit[:, 0]]) * rise[:, None]
+
+
+def bezier(start_mm: np.ndarray, first_mm: np.ndarray, second_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
+    """(n + 1, 3) points of a cubic curve that its chords leave by at most CHORD_ERROR_MM (where MAX_CHORDS suffice).
+
+    start_mm, end_mm : (3,); Z climbs evenly. first_mm : (2,) from the start to the first control point. second_mm : (2,) from
+    the end to the second
+
+    A chord over 1/n of the parameter leaves the curve by at most |B''| / 8n², and |B''| by 6 times the larger second
+    difference of the control points.
+    """
+    corners = np.stack([start_mm[:2], start_mm[:2] + first_mm, end_mm[:2] + second_mm, end_mm[:2]])
+    bend = 6.0 * float(np.hypot(*np.diff(corners, n=2, axis=0).T).max())
+    count = min(max(math.ceil(math.sqrt(bend / (8.0 * CHORD_ERROR_MM))), 1), MAX_CHORDS)
+    t = np.linspace(0.0, 1.0, count + 1)[:, None]
+    weights = np.hstack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3])
+    points = np.hstack([weights @ corners, start_mm[2] + (end_mm[2] - start_mm[2]) * t])
+    points[0], points[-1] = start_mm, end_mm
+    return points

@@ -123,7 +123,7 @@ DECLARATIONS = {  # words of the settings that slicers append: what they mean he
     "filament diameter #1": "filament_mm", "filamentdiameter": "filament_mm", "fiber_dia_mm": "filament_mm",
     "layer_height": "layer_height_mm", "layerheight": "layer_height_mm", "layer height": "layer_height_mm",
     "z_layer_height_mm": "layer_height_mm", "sliceheight": "layer_height_mm", "layerthickness": "layer_height_mm",
-    "use_volumetric_e": "volumetric_e",
+    "use_volumetric_e": "volumetric_e", "filament compensation #1": "compensation_percent",
 }  # fmt: skip
 
 

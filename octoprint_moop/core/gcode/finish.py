@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..toolpath import NO_OBJECT, Role, Toolpath
+from .counting import counting
 from .interpreter import Interpreter
 from .labels import find_objects
 from .layers import Held, layer_ends, layer_parks, layer_shapes, layer_starts, layer_steps, step_of, widths_and_heights
@@ -59,6 +60,7 @@ def assemble(
         role.append(np.where(part < 0, Role.OUTER, part))
         object_id.append(objects.ids.of(first, last) if objects.ids else np.full(last - first, NO_OBJECT))
     ends = layer_parks(layer_ends(end_pos, starts, machine.tails), starts, low, high, machine.travels)
+    used_mm, own_mm = filament_used_mm(machine, filament_mm2 if volumetric else 1.0)
     return Toolpath(
         beads_mm=beads.done(),
         end_pos=end_pos.done(),
@@ -71,22 +73,19 @@ def assemble(
         cancelled=objects.cancelled,
         cancel_commands=objects.cancel_commands,
         slicer=said.slicer,
-        filament_mm=filament_used_mm(machine, filament_mm2 if volumetric else 1.0),
+        filament_mm=used_mm,
+        filament_own_mm=own_mm,
         bytes=size,
         notes=notes(machine),
     )
 
 
-def filament_used_mm(machine: Interpreter, divisor: float) -> float:
-    """Filament used, net of retraction. Slicers count with or without the user's start G-code: so does this, as the
-    file's own figure has it; with it, where there is no figure."""
-    used = sum(machine.most_fed.values()) / divisor
-    primed = (machine.primed_mm or 0.0) / divisor
-    figures = machine.said.declared.get("filament_used_mm", ())
-    if not sum(figures):
-        return used
-    targets = (figures[0], sum(figures))
-    return min((used, used - primed), key=lambda candidate: min(abs(candidate - target) for target in targets))
+def filament_used_mm(machine: Interpreter, divisor: float) -> tuple[float, float]:
+    """Filament used, net of retraction, counted as the file's slicer counts; and what the user's own G-code feeds."""
+    used, own = sum(machine.most_fed.values()) / divisor, machine.fed_by_own_gcode_mm() / divisor
+    way = counting(machine.said.slicer)
+    compensation = (machine.said.setting("compensation_percent") or 100.0) / 100.0
+    return (used if way.own_gcode else used - own) * compensation**way.compensations, own
 
 
 def notes(machine: Interpreter) -> tuple[str, ...]:
@@ -94,6 +93,8 @@ def notes(machine: Interpreter) -> tuple[str, ...]:
     said = []
     if machine.skipped:
         said.append(f"{machine.skipped} moves make no sense (damaged numbers, or an arc without a centre).")
+    if machine.coarse:
+        said.append(f"{machine.coarse} arcs are drawn coarsely: the file has more of them than the memory should hold.")
     if machine.unknown:
         words = ", ".join(word for word, _ in machine.unknown.most_common(5))
         said.append(

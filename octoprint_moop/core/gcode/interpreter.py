@@ -14,38 +14,29 @@ from collections import Counter
 
 import numpy as np
 
-from .arcs import LEAST_MOVE_MM, centres_by_radius, chords
+from .arcs import LEAST_MOVE_MM, MAX_CHORDS, bezier, centres_by_radius, chords
+from .objects import ObjectCommands, named
+from .places import Places
 from .said import Said
+from .travels import FAR_MM, Travels
 
 FARTHEST_MM = 1e6  # a coordinate beyond is a damaged line, not a place
 LEAST_FEED_MM = 1e-7
 LONGEST_COMMAND = 4096  # characters; the polygon of an object may be long, but nothing that moves is
-FAR_MM = 20.0  # a head this far beyond a layer does not stand before it
 INCH_MM = 25.4
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 _COMMAND = re.compile(r"\s*(?:N\s*\d+\s*)?([GMT])\s*(\d{1,6})(?:\.(\d+))?", re.IGNORECASE)
 _MACRO = re.compile(r"\s*(?:N\s*\d+\s*)?([A-Za-z_]\w*)\s*(.*)")
-_NAMED = re.compile(r"\bNAME=(\"[^\"]*\"|'[^']*'|\S+)", re.IGNORECASE)
 
 # Commands that neither move nor extrude nor wait: a layer's retraction may have them in its midst.
-_QUIET = frozenset((73, 106, 107, 117, 118, 204, 205, 220, 221, 400, 486, 572, 593, 900))
-
-
-class Travels:
-    """Moves without extrusion that end FAR_MM or more, in X or in Y, from the end of the last bead.
-
-    bead : index of the bead before; end_pos : where the move ends in the file; x, y : where it ends over the bed, mm
-    """
-
-    def __init__(self) -> None:
-        self.bead, self.end_pos, self.x, self.y = array("q"), array("q"), array("d"), array("d")
-
-    def add(self, bead: int, end_pos: int, x: float, y: float) -> None:
-        self.bead.append(bead)
-        self.end_pos.append(end_pos)
-        self.x.append(x)
-        self.y.append(y)
+_QUIET = frozenset((73, 106, 107, 117, 118, 204, 205, 220, 221, 400, 486, 572, 593, 624, 625, 900))
+# Commands that move without a word about where, or not at all: homing's kin, probing, cleaning, parking, planes. What
+# extrudes next says where it begins.
+_NO_PATH = frozenset((4, 11, 12, 17, 21, 26, 27, 29, 30, 31, 32, 33, 34, 60, 61, 80))
+_KEEPS_TAIL = frozenset((17,))
+# What arcs may come to: a file of nothing else must not fill the memory. Beads in all, and for each byte of the file.
+SPARE_BEADS, BEADS_PER_BYTE, FEWEST_CHORDS = 200_000, 0.5, 4
 
 
 class Interpreter:
@@ -63,7 +54,7 @@ class Interpreter:
         self.last_xy = (0.0, 0.0)
         self._path, self._end_pos = array("f"), array("q")
         self.position = [0.0, 0.0, 0.0]  # of the nozzle over the bed, mm
-        self.offset = [0.0, 0.0, 0.0]  # added to the file's coordinates: G92
+        self.places = Places()
         self.e = 0.0  # the file's E, mm
         self.relative, self.relative_e = False, relative_e
         self.unit_mm = 1.0
@@ -73,8 +64,12 @@ class Interpreter:
         self.tool = 0
         self.fed: dict[int, float] = {}  # tool -> net filament
         self.most_fed: dict[int, float] = {}  # tool -> the highest it has been
-        self.m486 = -1
-        self.primed_mm: float | None = None  # filament used before the first layer comment
+        self.objects = ObjectCommands(self.said)
+        self.states: dict[str, tuple[bool, bool, float, list[float], list[float]]] = {}
+        self.custom_mm = 0.0  # of `most_fed`, what the user's own G-code has fed so far, see `own_gcode`
+        self._custom_from: float | None = 0.0
+        self.read_bytes = 0  # of the file, or more; the reader tells
+        self.coarse = 0  # arcs that were drawn in fewer chords than they deserve
         self.tails = (array("q"), array("q"))
         self.travels = Travels()
         self.tail_open = False
@@ -94,11 +89,10 @@ class Interpreter:
             self._macro(code, end_pos)
             return
         letter, number = command.group(1).upper(), int(command.group(2))
-        if command.group(3) and int(command.group(3)):
-            self.tail_open = False
-            self.unknown[f"{letter}{number}.{command.group(3)}"] += 1
-            return
         rest = code[command.end() :].partition("*")[0]
+        if command.group(3) and int(command.group(3)):
+            self._sub(f"{letter}{number}.{int(command.group(3))}", number)
+            return
         if letter == "G":
             self._g(number, rest, end_pos)
         elif letter == "M":
@@ -110,8 +104,34 @@ class Interpreter:
     def comment(self, text: str) -> None:
         """Take note of a comment, the text after the semicolon."""
         self.said.comment(text, self.laid)
-        if self.primed_mm is None and self.said.layers:
-            self.primed_mm = sum(self.most_fed.values())
+        own = self.said.custom or not self.said.layers
+        if own != self.own_gcode:
+            used = sum(self.most_fed.values())
+            if self._custom_from is not None:
+                self.custom_mm += used - self._custom_from
+            self._custom_from = used if own else None
+
+    def fed_by_own_gcode_mm(self) -> float:
+        """Of the filament used, what the user's own G-code fed; nothing where no comment tells it from the rest."""
+        if not self.said.layers:
+            return 0.0
+        now = sum(self.most_fed.values()) - self._custom_from if self._custom_from is not None else 0.0
+        return self.custom_mm + now
+
+    @property
+    def own_gcode(self) -> bool:
+        """What is being read is the user's own G-code: what precedes the first layer comment, or is said to be custom."""
+        return self._custom_from is not None
+
+    def _sub(self, name: str, number: int) -> None:
+        """A command with a decimal: G92.1 takes offsets back, G59.1 to G59.3 are places, others mean other things."""
+        self.tail_open = False
+        if name == "G92.1":
+            self.places.reset()
+        elif name in ("G59.1", "G59.2", "G59.3"):
+            self.places.select(int(name[-1]) + 6)
+        elif name.startswith("G") and number not in _NO_PATH:
+            self.unknown[name] += 1
 
     # -- motion ------------------------------------------------------------------------------------------------------
 
@@ -129,25 +149,45 @@ class Interpreter:
             self._arc(self._words(rest), number == 2, end_pos)
         elif number == 92:
             self._set_position(self._words(rest))
+        elif number == 5:
+            self._bezier(self._words(rest), end_pos)
         elif number == 28:
             words = self._words(rest)
             homed = [i for i, axis in enumerate("XYZ") if axis in words] or [0, 1, 2]
             for i in homed:
-                self.position[i] = self.offset[i] = 0.0
+                self.position[i] = self.places.offset[i] = 0.0
+            self.tail_open = False
+        elif number == 53:
+            self._in_machine_coordinates(rest, end_pos)
+        elif 54 <= number <= 59:
+            self.places.select(number - 53)
             self.tail_open = False
         elif number in (90, 91):
             self.relative = number == 91
         elif number in (20, 21):
             self.unit_mm = INCH_MM if number == 20 else 1.0
         elif number == 10:
-            # RepRapFirmware's G10 with P or L sets a tool up; without, firmware retraction: no geometry, no E.
-            if not {"P", "L", "X", "Y", "Z"} & self._words(rest).keys():
+            # RepRapFirmware's G10 with P or R sets a tool up, with L a place; without, firmware retraction: no E.
+            words = self._words(rest)
+            if words.get("L") in (2.0, 20.0):
+                self.places.define(words, self.position, self.unit_mm)
+            elif not {"P", "L", "R", "X", "Y", "Z"} & words.keys():
                 self._retracted(end_pos)
-        elif number not in (4, 11, 17, 21, 29, 80):
-            self.tail_open = False
-            self.unknown[f"G{number}"] += 1
         else:
-            self.tail_open = self.tail_open and number == 17
+            self.tail_open = self.tail_open and number in _KEEPS_TAIL
+            if number not in _NO_PATH:
+                self.unknown[f"G{number}"] += 1
+
+    def _in_machine_coordinates(self, rest: str, end_pos: int) -> None:
+        """G53: the command beside it, without any offset; alone, from now on (Marlin)."""
+        if not rest.strip():
+            self.places.select(0)
+            self.tail_open = False
+            return
+        offset = self.places.offset
+        self.places.offset = [0.0, 0.0, 0.0]
+        self.run(rest, end_pos)
+        self.places.offset = offset
 
     def _target(self, words: dict[str, float | None]) -> tuple[list[float], float] | None:
         """Where a move goes and how much it feeds, or None where its numbers are damaged."""
@@ -156,7 +196,7 @@ class Interpreter:
             value = words.get(axis)
             if value is not None:
                 value *= self.unit_mm
-                target[i] = target[i] + value if self.relative else value + self.offset[i]
+                target[i] = target[i] + value if self.relative else value + self.places.offset[i]
         feed, e = 0.0, self.e
         value = words.get("E")
         if value is not None:
@@ -198,9 +238,34 @@ class Interpreter:
         start, end = np.array([self.position]), np.array([target])
         centre = self._arc_centre(words, start, end, clockwise)
         turns = np.array([int(min(max(words.get("P") or 0.0, 0.0), 1e6))])
-        _, points = chords(start, end, centre, np.array([clockwise]), turns)
+        most = self.most_chords(1)
+        count, points = chords(start, end, centre, np.array([clockwise]), turns, most)
+        self.coarse += int(count[0] == most < MAX_CHORDS)
+        self._follow(np.concatenate([start, points]), feed, end_pos)
+        self.position = target
+
+    def most_chords(self, arcs: int) -> int:
+        """Into how many chords each of so many arcs may be cut."""
+        spare = SPARE_BEADS + int(BEADS_PER_BYTE * self.read_bytes) - self.laid
+        return min(max(spare // max(arcs, 1), FEWEST_CHORDS), MAX_CHORDS)
+
+    def _bezier(self, words: dict[str, float | None], end_pos: int) -> None:
+        """G5: I and J lead from the start to the first control point, P and Q from the end to the second."""
+        goal = self._target(words)
+        if goal is None:
+            return
+        target, feed = goal
+        i, j, p, q = ((words.get(letter) or 0.0) * self.unit_mm for letter in "IJPQ")
+        if max(abs(i), abs(j), abs(p), abs(q)) < FARTHEST_MM:
+            points = bezier(np.array(self.position), np.array([i, j]), np.array([p, q]), np.array(target))
+            self._follow(points, feed, end_pos)
+        else:
+            self.skipped += 1
+        self.position = target
+
+    def _follow(self, path: np.ndarray, feed: float, end_pos: int) -> None:
+        """Lay, or only move, along a path, (n, 3) mm."""
         self._feed(feed)
-        path = np.concatenate([start, points])
         lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
         whole = float(lengths.sum())
         if feed > LEAST_FEED_MM and whole > LEAST_MOVE_MM:
@@ -211,7 +276,6 @@ class Interpreter:
             self._retracted(end_pos)
         else:
             self.tail_open = False
-        self.position = target
 
     def _arc_centre(
         self, words: dict[str, float | None], start: np.ndarray, end: np.ndarray, clockwise: bool
@@ -234,7 +298,7 @@ class Interpreter:
         for i, axis in enumerate("XYZ"):
             value = words.get(axis)
             if value is not None and abs(value) < FARTHEST_MM:
-                self.offset[i] = self.position[i] - value * self.unit_mm
+                self.places.offset[i] = self.position[i] - value * self.unit_mm
         value = words.get("E")
         if value is not None and abs(value) < FARTHEST_MM:
             self.e = value * self.e_unit_mm
@@ -291,7 +355,7 @@ class Interpreter:
             if percent and 0.0 < percent < 1000.0:
                 self.flow = percent / 100.0
         elif number == 486:
-            self._m486(rest, end_pos)
+            self.objects.m486(rest, self.laid, end_pos)
         if number not in _QUIET:
             self.tail_open = False
 
@@ -302,61 +366,31 @@ class Interpreter:
             self.filament_mm = diameter
         self.volumetric = bool(switch) if switch is not None else bool(diameter)
 
-    def _m486(self, rest: str, end_pos: int) -> None:
-        """Marlin's and RepRapFirmware's objects: S selects (-1 none), A names, P cancels, C cancels the current one."""
-        name = re.match(r"\s*A\s*\"?(.*?)\"?\s*$", rest, re.IGNORECASE)
-        if name:
-            self._name_m486(name.group(1))
-            return
-        named = re.search(r"\bA\"([^\"]*)\"", rest, re.IGNORECASE)
-        words = self._words(rest[: named.start()] if named else rest)
-        if words.get("S") is not None:
-            self.m486 = max(int(words["S"] or 0), -1)
-            self._label_m486()
-        if named:
-            self._name_m486(named.group(1))
-        if words.get("P") is not None:
-            self.said.cancelled.append(("m486", str(int(words["P"] or 0)), end_pos))
-        if "C" in words and self.m486 >= 0:
-            self.said.cancelled.append(("m486", str(self.m486), end_pos))
-
-    def _name_m486(self, name: str) -> None:
-        if self.m486 >= 0 and name:
-            self.said.m486_names[self.m486] = name
-
-    def _label_m486(self) -> None:
-        self.said.label("m486", None if self.m486 < 0 else str(self.m486), self.laid)
-
     def _macro(self, code: str, end_pos: int) -> None:
         """Words that are no G, M or T: Klipper's macros, OctoPrint's @ commands, anything else."""
         text = code.strip()
         if text.startswith("@"):
-            word, _, rest = text[1:].partition(" ")
-            if word.lower() == "object":
-                self.said.label("at_object", rest.strip() or None, self.laid)
-            elif word.lower() == "objectend":
-                self.said.label("at_object", None, self.laid)
+            self.objects.at_command(text[1:], self.laid)
             return
         found = _MACRO.match(code)
         word = found.group(1).upper() if found else text[:1]
-        named = _NAMED.search(code) if found else None
-        name: str | None = named.group(1).strip("\"'") if named else None
-        if word == "EXCLUDE_OBJECT_START":
-            self.said.label("exclude_object", name, self.laid)
-        elif word == "EXCLUDE_OBJECT_END":
-            self.said.label("exclude_object", None, self.laid)
-        elif word == "EXCLUDE_OBJECT":
-            self._exclude(name, code.upper(), end_pos)
-        elif word != "EXCLUDE_OBJECT_DEFINE":
+        if word in ("SAVE_GCODE_STATE", "RESTORE_GCODE_STATE"):
+            self._gcode_state(word, code)
+        elif not self.objects.macro(word, code, self.laid, end_pos):
             self.tail_open = False
             self.unknown[word] += 1
 
-    def _exclude(self, name: str | None, code: str, end_pos: int) -> None:
-        if name is None and "CURRENT=1" in code:
-            labels = self.said.labels.get("exclude_object")
-            name = labels.current() if labels else None
-        if name is not None:
-            self.said.cancelled.append(("exclude_object", name, end_pos))
+    def _gcode_state(self, word: str, code: str) -> None:
+        """Klipper's SAVE_GCODE_STATE and RESTORE_GCODE_STATE: modes, offsets and the file's E, by name."""
+        name = named(code) or "default"
+        if word == "SAVE_GCODE_STATE":
+            self.states[name] = (self.relative, self.relative_e, self.e, list(self.places.offset), list(self.position))
+        elif name in self.states:
+            self.relative, self.relative_e, self.e, offset, position = self.states[name]
+            self.places.offset[:] = offset
+            if "MOVE=1" in code.upper():
+                self.position = list(position)
+            self.tail_open = False
 
 
 def _outside_parentheses(code: str) -> str:

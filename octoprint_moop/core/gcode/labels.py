@@ -9,7 +9,7 @@ import numpy as np
 from ..toolpath import NO_OBJECT
 from .dialects import LABEL_SYSTEMS
 from .layers import Held
-from .said import Labels, Said
+from .said import TAKEN_BACK, Labels, Said
 
 FIRMWARE_SYSTEMS = ("exclude_object", "m486_named", "m486")
 
@@ -48,7 +48,10 @@ def find_objects(said: Said, count: int) -> Objects:
     cancelled: dict[int, int] = {}
     for spoken_by, name, position in said.cancelled:
         command = _cancel_command(spoken_by, name)
-        if command in commands:
+        if position == TAKEN_BACK:
+            for index in [index for index in cancelled if not name or commands[index] == command]:
+                del cancelled[index]
+        elif command in commands:
             cancelled.setdefault(commands.index(command), position)
     return Objects(ids, tuple(names), tuple(sorted(cancelled.items())), commands)
 

@@ -7,9 +7,9 @@ from array import array
 
 import numpy as np
 
-from .interpreter import FAR_MM, Travels
 from .said import Changes, Said
 from .store import Column
+from .travels import FAR_MM, Travels
 
 CHUNK_ROWS = 1 << 20
 SAME_HEIGHT_MM = 0.02  # heights nearer than this are one print height

@@ -40,7 +40,9 @@ _E_MODE = re.compile(  # of bounded width: an unbounded one takes quadratic time
     re.MULTILINE | re.IGNORECASE,
 )
 # Lines that cannot change how moves are read: comments, object labels, macros, and M codes other than these.
-_STATELESS = re.compile(rb"[;@]|[A-FH-LO-SU-Z]|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d")
+_STATELESS = re.compile(
+    rb"[;@]|[A-FH-LO-QU-Z]|[RS](?!ESTORE_GCODE|AVE_GCODE)|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d"
+)
 
 Progress = Callable[[float], None]
 PathLike = Union[str, Path]
@@ -167,7 +169,7 @@ class _Reader:
 
     def _read_by_line(self, chunk: bytes, length: int) -> None:
         """Lines may end in a carriage return alone."""
-        end = 0
+        end, self.machine.read_bytes = 0, self.position + length
         for raw in chunk.splitlines(keepends=True):
             end += len(raw)
             self.position += len(raw) + _lengthened(raw) - max(0, end - length)
@@ -178,18 +180,25 @@ class _Reader:
         ends = self.position + np.minimum(lines.end + 1, length)
         if not chunk.isascii():
             ends += _drift(chunk, lines)
-        self.position = int(ends[-1])
+        self.position = self.machine.read_bytes = int(ends[-1])
         run = _Chunk(chunk, lines, ends)
         begin, waiting = 0, []
         for i in np.flatnonzero((lines.kind == OTHER) & (lines.end > lines.start)).tolist():
             raw = run.raw(i)
-            if _STATELESS.match(raw) and (self.machine.said.layers or b"layer" not in raw.lower()):
+            if _STATELESS.match(raw) and not self._tells_whose(raw):
                 waiting.append(i)
                 continue
             self._run(run, begin, i, waiting)
             self.machine.run(run.text(i), run.end(i))
             begin, waiting = i + 1, []
         self._run(run, begin, len(ends), waiting)
+
+    def _tells_whose(self, raw: bytes) -> bool:
+        """A comment after which filament may be fed by another than before, see `Interpreter.own_gcode`."""
+        if self.machine.own_gcode:
+            word = raw.lower()
+            return b"layer" in word or (self.machine.said.custom and raw.startswith(b";"))
+        return b"ustom" in raw
 
     def _run(self, run: _Chunk, begin: int, end: int, waiting: list[int]) -> None:
         """Execute lines [begin, end), of which those `waiting` are no rows but change no mode either."""

@@ -6,6 +6,7 @@ from array import array
 
 from .dialects import Declared, Feature, Height, Label, Layer, Slicer, Width, meaning
 
+TAKEN_BACK = -1  # in place of a file position: the cancelling of an object, or of all of them, is undone
 NOT_SAID = -1.0  # role, width or height that no comment has told yet
 
 
@@ -48,6 +49,7 @@ class Said:
         self.labels: dict[str, Labels] = {}
         self.m486_names: dict[int, str] = {}
         self.cancelled: list[tuple[str, str, int]] = []
+        self.custom = False  # what follows is the user's own G-code
         self.slicer = ""
         self.declared: dict[str, tuple[float, ...]] = {}
 
@@ -62,6 +64,7 @@ class Said:
                 self.layers.setdefault(said.dialect, array("q")).append(bead)
             elif isinstance(said, Feature):
                 self.role.at(bead, said.role)
+                self.custom = said.custom
                 if said.custom:
                     self.width.at(bead, NOT_SAID)
                     self.height.at(bead, NOT_SAID)

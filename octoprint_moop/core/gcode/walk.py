@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arcs import LEAST_MOVE_MM, centres_by_radius, chords
-from .interpreter import FAR_MM, FARTHEST_MM, LEAST_FEED_MM, Interpreter
+from .arcs import LEAST_MOVE_MM, MAX_CHORDS, centres_by_radius, chords
+from .interpreter import FARTHEST_MM, LEAST_FEED_MM, Interpreter
 from .rows import ARC_CCW, ARC_CW, MOVE, RETRACT, SET_E, UNRETRACT, Lines
+from .travels import FAR_MM
 
 _QUIET, _BEAD, _RETRACT, _STOP = 0, 1, 2, 3
 _E = ord("E")
@@ -48,7 +49,7 @@ class Walk:
                 column[1:] = values  # 0 where not said
                 np.cumsum(column, out=column)
             else:
-                column[1:] = values + machine.offset[i]
+                column[1:] = values + machine.places.offset[i]
                 column[:] = column[_last_said(said)]
         return position
 
@@ -127,7 +128,9 @@ class Walk:
             return None
         rows, start, end = arcs[feeds], start[feeds], end[feeds]
         turns = np.clip(words["P"][1][feeds], 0, 1e6).astype(np.int64)
-        counts, points = chords(start, end, centre[feeds], clockwise[feeds], turns)
+        most = self._machine.most_chords(len(rows))
+        counts, points = chords(start, end, centre[feeds], clockwise[feeds], turns, most)
+        self._coarse = len(rows) if most < MAX_CHORDS and bool((counts == most).any()) else 0
         before = np.empty_like(points)
         before[1:] = points[:-1]
         heads = np.cumsum(counts) - counts
@@ -140,7 +143,7 @@ class Walk:
         fed_each = np.repeat(fed[rows], counts) * share
         return rows[laid], counts[laid], np.column_stack([before, points])[each], fed_each[each]
 
-    pathless = 0
+    pathless = _coarse = 0
 
     def apply(self, end_pos: np.ndarray, stops: np.ndarray) -> np.ndarray:
         """Bring the machine to the end of the run. Returns the beads' end positions, (n,) int64.
@@ -157,6 +160,7 @@ class Walk:
         machine.fed[machine.tool] = float(fed[-1])
         machine.most_fed[machine.tool] = max(machine.most_fed.get(machine.tool, 0.0), float(fed.max()))
         machine.skipped += self.pathless
+        machine.coarse += self._coarse
         machine.laid += len(self.path)
         return np.repeat(end_pos, self._count)
 
