@@ -19,7 +19,7 @@ the camera was moved and not the print.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -35,7 +35,7 @@ FIRST_LAYERS = 2
 BESIDE_PX, ALIKE_RATIO, SHADE_PX = 30, 0.1, 8.0
 SPECK_PX = 6
 RIM_PX = 1.0
-REACH_RATIO = 0.07  # of the looked-at window's width: how far off the print stray matter may begin
+REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far off stray matter may begin
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
@@ -64,11 +64,6 @@ class Sight:
     def finer(self) -> float:
         """A length in a picture 640 pixels across is so many times longer in this one."""
         return max(1.0, self.tolerance_px / TOLERANCE_PX)
-
-    @cached_property
-    def look(self) -> np.ndarray:
-        """(3, H, W) uint8: the frame as the memory keeps it."""
-        return planes(self.frame_bgr)
 
 
 @dataclass(frozen=True)
@@ -141,12 +136,13 @@ def find(sight: Sight, memory: Memory) -> Findings:
     While the memory is still settling, the calibration's misfit is looked for first: what moving the whole picture by a
     few pixels explains at the first layers is no failure of the print.
     """
-    window = about_print(sight.expected.complete)
-    wanted = sight.expected.mask[window] > 0
-    memory.settle(window, wanted, sight.observed > 0, sight.ignored == 0)
-    findings = _weigh(sight, memory, window)
+    window, around = close_to(sight), about_print(sight.expected.complete)
+    memory.settle(window, sight.expected.mask[window] > 0, sight.observed, sight.ignored)
+    findings = _weigh(sight, memory, around if memory.wants_surroundings else window)
     if _out_of_place_px(findings) < MOVED_LEAST_PX:
         return findings
+    if findings.window != around:
+        findings = _weigh(sight, memory, around)
     return _moved_camera(sight, memory, findings) or findings
 
 
@@ -160,7 +156,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     window, before = findings.window, memory.alignment
     finer = sight.finer
     reach_px = int(MOVED_REACH_PX * finer)
-    found = register(window, findings.wanted, sight.observed > 0, sight.ignored == 0, reach_px)
+    found = register(window, findings.wanted, sight.observed, sight.ignored, reach_px)
     if found is None:
         return None
     points = np.argwhere(findings.wanted)[::17, ::-1] + [window[1].start, window[0].start]
@@ -194,17 +190,15 @@ def _pieces(wanted: np.ndarray) -> int:
 def _aligned(sight: Sight, alignment: align.Alignment, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The look, observed and ignored where the expected mask has `window`."""
     if alignment.most_px < ALIGNED_PX:
-        return sight.look[:, window[0], window[1]], sight.observed[window], sight.ignored[window]
+        return planes(sight.frame_bgr[window]), sight.observed[window], sight.ignored[window]
     rows, columns = window
     size = (columns.stop - columns.start, rows.stop - rows.start)
     matrix = alignment.inverse_map(columns.start, rows.start)
     smooth, plain = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    look = np.stack(
-        [cv2.warpAffine(one, matrix, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE) for one in sight.look]
-    )
+    frame = cv2.warpAffine(sight.frame_bgr, matrix, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
     observed = cv2.warpAffine(sight.observed, matrix, size, flags=smooth)
     ignored = cv2.warpAffine(sight.ignored, matrix, size, flags=plain, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
-    return look, cv2.threshold(observed, 127, 255, cv2.THRESH_BINARY)[1], ignored
+    return planes(frame), cv2.threshold(observed, 127, 255, cv2.THRESH_BINARY)[1], ignored
 
 
 def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
@@ -236,10 +230,10 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~observed)
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
     # dark filament and its own shadow look alike
-    shade = SHADE_PX * max(1.0, sight.observed.shape[1] / 640)
+    shade = SHADE_PX * sight.finer
     stray &= ~(memory.looks_shaded(window, look, stray) & _within(wanted_u8, shade))
     rim &= ~memory.looks_shaded(window, look, rim)
-    stray = near_to(wanted_u8, without_specks(stray), REACH_RATIO * wanted.shape[1])
+    stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
     lost = without_specks(memory.looks_bare(window, look, lost))
     lost = _unlike_matter_beside(lost, observed & wanted, look, memory.bare(window))
@@ -347,11 +341,29 @@ class _Counter:
 
 
 def about_print(complete: np.ndarray) -> Window:
-    """Rows and columns about the complete print, half its size around."""
-    height, width = complete.shape
-    x, y, w, h = cv2.boundingRect(complete)
-    margin = max(w, h) // 2 + 24
+    """Rows and columns about the complete print, a third of its size around."""
+    _, _, width, height = cv2.boundingRect(complete)
+    return _box(complete, max(width, height) // 3 + 32)
+
+
+def close_to(sight: Sight) -> Window:
+    """Rows and columns of all that is expected and all that is seen: where anything can be found, if all is well."""
+    margin = round(AROUND_PX * sight.finer)
+    seen, around = _box(sight.expected.complete | sight.observed, margin), about_print(sight.expected.complete)
+    rows, columns = (slice(max(one.start, other.start), min(one.stop, other.stop)) for one, other in zip(seen, around))
+    return rows, columns
+
+
+def _box(mask: np.ndarray, margin: int) -> Window:
+    height, width = mask.shape
+    x, y, w, h = cv2.boundingRect(mask)
     return slice(max(y - margin, 0), min(y + h + margin, height)), slice(max(x - margin, 0), min(x + w + margin, width))
+
+
+def _reach_px(sight: Sight) -> float:
+    """How far off the print stray matter may begin."""
+    _, _, width, height = cv2.boundingRect(sight.expected.complete)
+    return REACH_RATIO * (width + max(width, height)) + 3 * sight.finer
 
 
 def near_to(wanted: np.ndarray, mask: np.ndarray, reach_px: float) -> np.ndarray:
@@ -377,6 +389,7 @@ def _spots(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return labels, stats[:, cv2.CC_STAT_AREA]
 
 
+@lru_cache(maxsize=32)
 def disc(radius_px: float) -> np.ndarray:
     """A round structuring element, uint8."""
     side = 2 * int(np.ceil(radius_px)) + 1

@@ -12,6 +12,7 @@ from . import align
 from .align import Alignment
 
 SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from then on it only creeps,
+SURROUNDINGS_EVERY = 4  # good checks
 CREEPING_CHECKS, CREEP_PX = 4, 0.3  # by so little in so many, as a print grows out of the height at which it was found
 SETTLING_REACH_PX = 6
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
@@ -180,20 +181,25 @@ class Memory:
         self.carried(matrix, shape)
         self.alignment = replace(self.alignment, offset_px=(0.0, 0.0), shear_px=(0.0, 0.0, 0.0, 0.0))
 
-    def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray) -> None:
+    @property
+    def wants_surroundings(self) -> bool:
+        """Whether it is time to see more than the print: what is around it must be known when something comes to lie there."""
+        return self._checks < SETTLING_CHECKS or self._checks % SURROUNDINGS_EVERY == 0
+
+    def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
         """Before the first good checks: find the misfit anew, as far off as may be; later, now and then, a little of it.
 
-        window, wanted : of the expected mask, bool; observed, known : the whole picture's, bool
+        window, wanted : of the expected mask, bool; observed, ignored : the whole picture's, uint8
         """
         if self._checks < SETTLING_CHECKS:
-            found = register(window, wanted, observed, known, SETTLING_REACH_PX)
+            found = register(window, wanted, observed, ignored, SETTLING_REACH_PX)
             if found is not None:
                 self.alignment = found.alignment.within(align.MOST_PX)
                 self.spread_px = _spread(found)
         elif self._checks % CREEPING_CHECKS == 0 and self._crept != self._checks:
             self._crept = self._checks
             top, left = window[0].start, window[1].start
-            fitted = align.fit(wanted, left, top, observed, known, self.alignment)
+            fitted = align.fit(wanted, left, top, observed > 0, ignored == 0, self.alignment)
             if fitted is not None:
                 self.alignment = self.alignment.towards(fitted.alignment, CREEP_PX)
 
@@ -216,12 +222,19 @@ class Memory:
 
 
 def register(
-    window: Window, wanted: np.ndarray, observed: np.ndarray, known: np.ndarray, reach_px: int
+    window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray, reach_px: int
 ) -> align.Fit | None:
-    """Where in the picture the print is, looked for as far as `reach_px` away; None where too little of it is seen."""
+    """Where in the picture the print is, looked for as far as `reach_px` away; None where too little of it is seen.
+
+    window, wanted : of the expected mask, bool; observed, ignored : the whole picture's, uint8
+    """
     if not wanted.any():
         return None
-    rows, columns = window
+    few = about(
+        cv2.dilate(wanted.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)
+    )  # contours and what is beside them
+    wanted, observed, known = wanted[few], observed > 0, ignored == 0
+    rows, columns = (slice(whole.start + part.start, whole.start + part.stop) for whole, part in zip(window, few))
     rim = ((max(reach_px - rows.start, 0), max(rows.stop + reach_px - observed.shape[0], 0)),
            (max(reach_px - columns.start, 0), max(columns.stop + reach_px - observed.shape[1], 0)))  # fmt: skip
     around = (

@@ -30,14 +30,14 @@ class Window:
 
     @classmethod
     def about(cls, complete: np.ndarray) -> Window:
-        """About the complete print, (H, W) uint8, and half its size around: so far may matter lie that belongs to it."""
+        """About the complete print, (H, W) uint8, and a third of its size around: so far may matter lie that belongs to it."""
         height, width = complete.shape
         unit = 4 * finer(width)
         step = max(step for step in range(1, max(width // WORK_WIDTH_PX, 1) + 1) if unit % step == 0)
         x, y, w, h = cv2.boundingRect(complete)
         if not w:
             x, y, w, h = 0, 0, width, height
-        margin = max(w, h) // 2 + 24 * step
+        margin = max(w, h) // 3 + 32 * step
         x0, x1 = _sides(x - margin, x + w + margin, width, unit)
         y0, y1 = _sides(y - margin, y + h + margin, height, unit)
         return cls((width, height), x0, y0, x1, y1, step)
