@@ -38,6 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from octoprint_moop.core import inspection
 from octoprint_moop.core.camera import Camera
+from octoprint_moop.core.decision.course import Course
 from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.view.light import Light, LightChange
@@ -65,6 +66,8 @@ STEPS: tuple[tuple[Any, str, str], ...] = (
     (inspection, "diagnose", "name"),
     (Memory, "learn", "pixels' past"),
     (View, "learn", "learn colours"),
+    (View, "check_calibration", "calibration"),
+    (Course, "rule", "rule"),
 )
 
 

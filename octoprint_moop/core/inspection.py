@@ -232,13 +232,13 @@ class Inspector:
         view.accept(steady)
         memory = view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
-        finer = max(1.0, window.size_px[0] / 640)
-        tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer) / window.step
-        sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px)
+        finer = max(1.0, window.size_px[0] / 640) / window.step
+        tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step
+        sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer)
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
             return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
-        if findings.moved_px > MOVED_PX * finer / window.step:
+        if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), course, moment, again)
         self._seen[moment.camera] = _Seen(view, moment, findings)

@@ -50,6 +50,7 @@ class Sight:
 
     frame_bgr : steadied and levelled; observed : 255 where filament is seen; ignored : 255 where nothing can be said
     layer     : the last layer of which something lies
+    finer     : a length in a picture 640 pixels across is so many times longer in this one
     """
 
     frame_bgr: np.ndarray
@@ -59,11 +60,7 @@ class Sight:
     print_map: PrintMap
     layer: int
     tolerance_px: float
-
-    @property
-    def finer(self) -> float:
-        """A length in a picture 640 pixels across is so many times longer in this one."""
-        return max(1.0, self.tolerance_px / TOLERANCE_PX)
+    finer: float = 1.0
 
 
 @dataclass(frozen=True)
