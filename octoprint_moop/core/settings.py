@@ -70,9 +70,13 @@ class Settings:
         "Turn the bed off, too, when a pause of ours lasts longer than this; 0 to keep it warm, and the print on it. "
         "It is heated again before the print goes on.",
     )  # fmt: skip
-    gcode_paused: str = text("", "G-code to send after OctoPrint's own pause script when the pause is ours.", lines=True)
+    gcode_paused: str = text(
+        "", "G-code to send after OctoPrint's own pause script when the pause is ours.", lines=True
+    )
     gcode_resumed: str = text(
-        "", "G-code to send before OctoPrint's own resume script after a pause of ours, when all is hot again.", lines=True
+        "",
+        "G-code to send before OctoPrint's own resume script after a pause of ours, when all is hot again.",
+        lines=True,
     )
     sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 
