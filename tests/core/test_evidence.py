@@ -77,6 +77,17 @@ def test_matter_that_is_gone_is_lost_to_its_own_object_only():
     assert right.lost_px == 0
 
 
+@pytest.mark.parametrize(("inside", "lost"), [(5, False), (0, True)])
+def test_what_is_gone_from_amid_a_wall_is_a_hollow_in_shadow_what_is_gone_at_its_edge_is_lost(inside, lost):
+    rows, columns = np.nonzero(wall(0, 12))
+    left, bottom = columns.min() + inside, rows.max() - inside
+    gone = np.zeros(SHAPE, bool)
+    gone[bottom - 11 : bottom + 1, left : left + 12] = True
+    found = Stage().printed(12).look(12, walls(12) & ~gone)
+    assert (found.whole.lost_px > 50) == lost
+    assert lost or found.whole.lost_px == 0
+
+
 def test_stray_matter_belongs_to_the_object_beside_it():
     stage = Stage().printed(12)
     strand = np.zeros(SHAPE, bool)

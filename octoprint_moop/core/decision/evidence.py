@@ -34,6 +34,7 @@ WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 FIRST_LAYERS = 2
 BESIDE_PX, ALIKE_RATIO, SHADE_PX = 30, 0.1, 8.0
 SPECK_PX = 6
+HOLLOW_RIM_PX, HOLLOW_LEAST_PX = 1.5, 3
 RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far off stray matter may begin
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
@@ -232,7 +233,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     rim &= ~memory.looks_shaded(window, look, rim)
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
-    lost = without_specks(memory.looks_bare(window, look, lost))
+    lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
     lost = _unlike_matter_beside(lost, observed & wanted, look, memory.bare(window))
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
@@ -371,6 +372,20 @@ def near_to(wanted: np.ndarray, mask: np.ndarray, reach_px: float) -> np.ndarray
     labels, areas_px = _spots(mask[few])
     begins = np.bincount(labels[_within(wanted, reach_px)[few] & mask[few]], minlength=len(areas_px)) > 0
     return placed(mask, few, begins[labels])
+
+
+def without_hollows(lost: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The lost spots that reach the expected mask's (uint8) edge.
+
+    Matter that stood does not go from amid what still stands; there a hollow has become dark as walls rose around it.
+    """
+    if not lost.any():
+        return lost
+    few = about(lost)
+    labels, areas_px = _spots(lost[few])
+    rim = (wanted[few] > 0) & (cv2.erode(wanted, disc(HOLLOW_RIM_PX))[few] == 0)
+    at_rim_px = np.bincount(labels[rim & lost[few]], minlength=len(areas_px))
+    return placed(lost, few, (at_rim_px >= HOLLOW_LEAST_PX)[labels] & lost[few])
 
 
 def _within(wanted: np.ndarray, reach_px: float) -> np.ndarray:
