@@ -70,4 +70,4 @@ def test_a_part_of_the_picture_is_levelled_as_the_whole_is(scene, print_mask):
     uneven = np.clip(scene * np.linspace(1.1, 0.6, 320)[None, :, None], 0, 255).astype(np.uint8)
     change = Light(scene, print_mask).change(uneven)
     part = change.undone(uneven[60:180, 80:240], (80 / 320, 60 / 240, 240 / 320, 180 / 240))
-    assert np.abs(part.astype(int) - change.undone(uneven)[60:180, 80:240]).max() <= 1
+    assert np.abs(part.astype(int) - change.undone(uneven)[60:180, 80:240]).max() <= 2

@@ -18,6 +18,7 @@ NOTICEABLE = 0.04
 MIN_BACKGROUND_RATIO = 0.05
 REACH_PX = 4.0  # how far, in pixels of the work picture, light is taken to be alike
 MOST_GAIN = 8.0
+FIELD_STEP = 8  # the cut-out field's pixels are so many of the picture's wide
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +48,17 @@ class LightChange:
         unit = float(self.field.max()) / 255
         coarse = np.round(self.field / unit).astype(np.uint8)
         height, width = picture_bgr.shape[:2]
-        left, top, right, bottom = box
-        across, down = (right - left) * coarse.shape[1] / width, (bottom - top) * coarse.shape[0] / height
-        part = np.array([
-            [across, 0, (0.5 * across + left * coarse.shape[1]) - 0.5],
-            [0, down, (0.5 * down + top * coarse.shape[0]) - 0.5],
-        ])  # fmt: skip
+        # cut out at a coarse size and enlarged, which OpenCV does many times faster than both at once
+        cut_px = max(width // FIELD_STEP, 1), max(height // FIELD_STEP, 1)
+        left, top, right, bottom = (
+            side * whole
+            for side, whole in zip(box, (coarse.shape[1], coarse.shape[0], coarse.shape[1], coarse.shape[0]))
+        )
+        across, down = (right - left) / cut_px[0], (bottom - top) / cut_px[1]
+        part = np.array([[across, 0, left + 0.5 * across - 0.5], [0, down, top + 0.5 * down - 0.5]])
         smooth = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        field = cv2.warpAffine(coarse, part, (width, height), flags=smooth, borderMode=cv2.BORDER_REPLICATE)
+        cut = cv2.warpAffine(coarse, part, cut_px, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
+        field = cv2.resize(cut, (width, height), interpolation=cv2.INTER_LINEAR)
         return cv2.multiply(picture_bgr, field, scale=unit)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..camera import BedMotion, Camera
 from .glance import Glance, shrunk
-from .landmarks import Aim, Level, Relief, in_level, strongest_in_each_cell
+from .landmarks import MOST_CONTRAST, Aim, Level, Relief, in_level, strongest_in_each_cell
 
 SCALES = (8, 4, 2)  # of the image pyramid at 640 pixels across, coarse to fine
 COARSEST, FINEST = 0, len(SCALES) - 1
@@ -27,6 +27,8 @@ GUESS_POINTS = 250
 ITERATIONS = 12
 GLANCE_EVERY = 3  # of the pixels, to tell that nothing has moved
 NOTICEABLE_PX = 0.4
+# in contrasts: a picture that fits no better than that at half of the pixels, or so much less well than it did, is looked at closely
+MOST_MISFIT, LESS_WELL = 0.6, 1.25
 WARP_GRID = 16  # the warp is smooth: it is computed on a coarse grid and interpolated
 
 
@@ -74,6 +76,7 @@ class Stabiliser:
         grid_px = self._grid_px()
         self._grid_rays, self._grid = camera.rays(grid_px), grid_px
         self._undone: tuple[CameraTurn, dict] = STILL, {}
+        self._fits: dict[CameraTurn, float] = {}  # how well the picture fitted at the last turn, at best
 
     def _level(
         self, scale: int, grey: np.ndarray, background: np.ndarray, shift_mm: np.ndarray, bed_size_mm: Sequence[float]
@@ -116,9 +119,9 @@ class Stabiliser:
         if not np.array_equal(shift_mm, self._aim.shift_mm):
             self._aim = Aim(self._camera, self._levels, shift_mm)
         pyramid = _Pyramid(glance)
-        guess = self._first_guess(pyramid[COARSEST], last.rvec)
-        if guess is last.rvec and self._stands(pyramid[FINEST], guess):
+        if self._stands(pyramid[FINEST], last):
             return last
+        guess = self._first_guess(pyramid[COARSEST], last.rvec)
         rvec = guess
         for number in range(len(SCALES)):
             rvec = self._align(number, pyramid[number], rvec, ITERATIONS)
@@ -128,10 +131,22 @@ class Stabiliser:
         motion_px = self._motion_px(rvec)
         return CameraTurn(rvec, motion_px) if motion_px >= NOTICEABLE_PX else STILL
 
-    def _stands(self, relief: Relief, rvec: np.ndarray) -> bool:
-        """Whether the picture fits where it is: the usual case, and the cheap one."""
-        nudge = self._align(FINEST, relief, rvec, 2, slice(None, None, GLANCE_EVERY))
-        return self._apart_px(nudge, rvec) < NOTICEABLE_PX
+    def _stands(self, relief: Relief, last: CameraTurn) -> bool:
+        """Whether the picture fits where it last did, and as well: the usual case, and the cheap one."""
+        few = slice(None, None, GLANCE_EVERY)
+        seen, inside = relief.at(self._aim.pixels(FINEST, few, (tuple(last.rvec),))[0])
+        residual = seen - self._levels[FINEST].grey[few]
+        misfit = float(np.median(np.abs(residual)))
+        well = self._fits.get(last, np.inf)
+        step = self._step(FINEST, residual, inside, few)
+        stands = (
+            misfit < LESS_WELL * min(well, MOST_MISFIT)
+            and step is not None
+            and float(np.linalg.norm(step)) * self._camera.K[0, 0] < NOTICEABLE_PX
+        )
+        if stands:
+            self._fits = {last: min(well, misfit)}
+        return stands
 
     def _first_guess(self, relief: Relief, last: np.ndarray) -> np.ndarray:
         """(3,) the turn, on a coarse grid about the last one, under which the picture matches best; `last` where that is it."""
@@ -149,12 +164,13 @@ class Stabiliser:
     def _misfits(
         self, relief: Relief, few: slice, last: np.ndarray, offsets_px: Sequence[tuple[float, float]]
     ) -> np.ndarray:
-        """For each offset of the picture from the last turn, the median difference; infinite where nothing is seen."""
+        """For each offset of the picture from the last turn, the median difference; what is out of the picture fits badly."""
         rvecs = tuple(tuple(last + self._turned_by(*offset)) for offset in offsets_px)
         seen, inside = relief.at(self._aim.pixels(COARSEST, few, rvecs))
         difference = np.abs(seen - self._levels[COARSEST].grey[few])
-        difference[~inside] = np.nan
-        return np.array([np.median(row[known]) if known.any() else np.inf for row, known in zip(difference, inside)])
+        difference[~inside] = 2 * MOST_CONTRAST
+        middle = difference.shape[1] // 2
+        return np.partition(difference, middle, axis=1)[:, middle]
 
     def _turned_by(self, right_px: float, down_px: float) -> np.ndarray:
         """(3,) the rotation vector that moves the picture's middle by so much, pixels at 640 across."""
@@ -190,38 +206,40 @@ class Stabiliser:
         outside = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
         return (*cv2.convertMaps(x, y, cv2.CV_16SC2), np.where(outside, np.uint8(255), np.uint8(0)))
 
-    def _residual(
-        self, number: int, relief: Relief, rvec: np.ndarray, few: slice = slice(None)
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _residual(self, number: int, relief: Relief, rvec: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n,) difference of grey value and (n,) whether the pixel is in the picture."""
         level = self._levels[number]
-        pixels = in_level(self._camera.turned(rvec).project(self._aim.rays(number)[few]), level.scale)
+        pixels = in_level(self._camera.turned(rvec).project(self._aim.rays(number)), level.scale)
         seen, inside = relief.at(pixels)
-        return seen - level.grey[few], inside
+        return seen - level.grey, inside
 
-    def _align(
-        self, number: int, relief: Relief, rvec: np.ndarray, iterations: int, few: slice = slice(None)
-    ) -> np.ndarray:
+    def _align(self, number: int, relief: Relief, rvec: np.ndarray, iterations: int) -> np.ndarray:
         """Gauss-Newton from `rvec` on the distance that each pixel's edge has moved along its normal.
 
         In distances, not in grey values: a bright rod that moves by itself must not outweigh a dim bed that stands.
         """
-        slope, jacobian = self._levels[number].slope[few], self._aim.jacobian(number)[few]
-        if len(slope) < 30:
+        if len(self._levels[number].slope) < 30:
             return rvec
         for _ in range(iterations):
-            residual, inside = self._residual(number, relief, rvec, few)
-            residual /= slope
-            weight = np.where(inside, _tukey(residual), 0.0)
-            weighted = jacobian * weight[:, None]
-            hessian = jacobian.T @ weighted
-            if np.linalg.cond(hessian) > 1e8:
+            residual, inside = self._residual(number, relief, rvec)
+            step = self._step(number, residual, inside)
+            if step is None:
                 return rvec
-            step = -np.linalg.solve(hessian, weighted.T @ residual)
             rvec = rvec + step
             if np.linalg.norm(step) * self._camera.K[0, 0] < 0.02:
                 break
         return rvec
+
+    def _step(
+        self, number: int, residual: np.ndarray, inside: np.ndarray, few: slice = slice(None)
+    ) -> np.ndarray | None:
+        """(3,) the turn that takes most of the residual away; None where the pixels cannot tell."""
+        jacobian, distance = self._aim.jacobian(number)[few], residual / self._levels[number].slope[few]
+        weighted = jacobian * (_tukey(distance) * inside)[:, None]
+        hessian = jacobian.T @ weighted
+        if np.linalg.cond(hessian) > 1e8:
+            return None
+        return -np.linalg.solve(hessian, weighted.T @ distance)
 
     def _misfit(self, number: int, relief: Relief, rvec: np.ndarray) -> float:
         residual, inside = self._residual(number, relief, rvec)
