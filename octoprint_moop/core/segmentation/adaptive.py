@@ -15,6 +15,7 @@ _MEMORY_PX = 200_000.0  # counts are scaled down beyond this, so that the colour
 _TELLING = 0.2  # thresholds that more of the bed's pixels than this keep to do not tell filament from it
 _CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
 _FRINGE = 10.0
+_SQUARES = np.minimum(np.arange(256) ** 2, 20_000).astype(np.uint16)  # three of them fit into 16 bits
 _INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
 
 
@@ -103,15 +104,14 @@ class AdaptiveSegmenter:
 
     def _not_the_bed(self, plate: Plate, colours: np.ndarray) -> np.ndarray:
         """(H, W) bool: False where the plate's background is seen unchanged."""
-        return (plate.known >= 0) | (_distance(colours, plate.colours) > _CHANGED)
+        return (plate.known >= 0) | _apart(colours, plate.colours, _CHANGED)
 
     def _remember_plate(self, colours: np.ndarray, filament: np.ndarray, background: np.ndarray) -> None:
         known = np.zeros(colours.shape[:2], np.int8)
-        picture = colours.copy()
+        picture = colours
         if self._plate is not None and self._plate.known.shape == known.shape:
             known = self._plate.known.copy()
-            keep = ~(filament | background)
-            picture[keep] = self._plate.colours[keep]
+            picture = cv2.copyTo(colours, (filament | background).view(np.uint8), self._plate.colours.copy())
         known[background], known[filament] = -1, 1
         self._plate = Plate(picture, known)
 
@@ -150,9 +150,12 @@ def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:
     return counts * min(1.0, _MEMORY_PX / max(float(counts.sum()), 1.0))
 
 
-def _distance(colours: np.ndarray, others: np.ndarray) -> np.ndarray:
-    difference = cv2.blur(cv2.absdiff(colours, others), (3, 3)).astype(np.float32)
-    return np.sqrt((difference * difference).sum(axis=-1))
+def _apart(colours: np.ndarray, others: np.ndarray, least: float) -> np.ndarray:
+    """(H, W) bool: where two opponent pictures, smoothed, are further apart than that."""
+    first, second, third = (
+        cv2.LUT(channel, _SQUARES) for channel in cv2.split(cv2.blur(cv2.absdiff(colours, others), (3, 3)))
+    )
+    return cv2.add(cv2.add(first, second), third) > least * least
 
 
 def _region(expected: Expected | None, shape: tuple[int, int]) -> tuple[int, int, int, int]:

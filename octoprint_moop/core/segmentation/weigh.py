@@ -27,6 +27,7 @@ _WRONG_LOOK = -0.3  # support below which the learned colours are not what is se
 _ALIKE, _APART = 0.7, 0.82  # separability: below, only neighbours together decide; above, each pixel by itself
 # Evidence, after smoothing, that says neither: by the separability, since a chance difference of two alike says little
 _UNSURE = ((0.1, 0.4), (1.0, 0.25))
+_SOME = 1e-9  # more than nothing
 _GUIDE_RADIUS_PX, _GUIDE_NOISE = 8, 0.01
 _SAME_LIGHT = 0.02
 _CONTRAST = (0.2, 0.45)  # of a frame's own colours: below, nothing is there; above, something is
@@ -37,22 +38,21 @@ class Look:
     """Everything about a region that does not depend on the frame, at the size at which the work is done.
 
     plate      : what the pixels are known to have shown, None where nothing is known
-    place      : (H, W) float32, log-odds that filament is there before looking, where no expected mask is given
-    underneath : (H, W) float32, log-odds (0 or less) under the print: what is seen there is its mirror image
+    place      : (H, W) float32, log-odds that filament is there before looking; None where nothing is known
+    underneath : (H, W) float32, log-odds (0 or less) under the print: what is seen there is its mirror image; or None
     step       : the region's size over the work's size
     """
 
     plate: Plate | None
-    place: np.ndarray
-    underneath: np.ndarray
+    place: np.ndarray | None
+    underneath: np.ndarray | None
     step: int
 
     @classmethod
     def without_label(cls, plate: Plate | None, shape: tuple[int, int], model: ColourModel) -> Look:
         """Nothing is known about where filament is."""
         step = _step(shape, model)
-        nothing = np.zeros(_work_shape(shape, step), np.float32)
-        return cls(None if plate is None else plate.shrunk(step), nothing, nothing, step)
+        return cls(None if plate is None else plate.shrunk(step), None, None, step)
 
 
 def _step(shape: tuple[int, int], model: ColourModel) -> int:
@@ -78,7 +78,7 @@ def _at_work_size(picture: np.ndarray, step: int) -> np.ndarray:
 
 
 def _mask_at_work_size(mask: np.ndarray, step: int) -> np.ndarray:
-    return np.where(_at_work_size(mask, step) > 127, np.uint8(255), np.uint8(0))
+    return mask if step == 1 else cv2.threshold(_at_work_size(mask, step), 127, 255, cv2.THRESH_BINARY)[1]
 
 
 def _along_edges(values: np.ndarray, guide: np.ndarray) -> np.ndarray:
@@ -182,14 +182,14 @@ def weigh(
     sharp = _sharpness(model)
     seen = evidence(colours, model, look.plate if sharp < 1 else None)
     if expected is None:
-        odds = seen + look.place
+        odds = seen.copy() if look.place is None else seen + look.place
         if look.plate is not None and (look.plate.known > 0).any():
             label = look.plate.known > 0
             rows = _top_odds(seen, label)
             odds += np.where(label, rows, np.minimum(rows, 0))
     else:
         mask = _mask_at_work_size(expected, look.step)
-        story = explain(seen + look.underneath, mask, colours)
+        story = explain(seen if look.underneath is None else seen + look.underneath, mask, colours)
         if story.support < _WRONG_LOOK:
             own, contrast = _own_colours(colours, mask)
             # what looks like everything around it is not there
@@ -200,7 +200,9 @@ def weigh(
             story = explain(seen, mask, colours)
             odds = seen + trust * _expected_odds(story.mask)
         else:
-            odds = seen + 0.3 * look.place + _expected_odds(story.mask)
+            odds = cv2.add(seen, _expected_odds(story.mask))
+            if look.place is not None:
+                odds = odds + 0.3 * look.place
     if sharp < 1:
         odds = cv2.addWeighted(_along_edges(odds, colours[..., 0]), 1 - sharp, odds, sharp, 0)
     says = cv2.blur(seen, (3, 3))
@@ -209,4 +211,4 @@ def weigh(
         size = frame_bgr.shape[1::-1]
         odds = cv2.resize(odds, size, interpolation=cv2.INTER_LINEAR)
         says = cv2.resize(says, size, interpolation=cv2.INTER_LINEAR)
-    return Observation(np.where(odds > 0, np.uint8(255), np.uint8(0)), cv2.inRange(says, -unsure, unsure))
+    return Observation(cv2.inRange(odds, _SOME, math.inf), cv2.inRange(says, -unsure, unsure))

@@ -27,7 +27,7 @@ GUESS_POINTS = 250
 ITERATIONS = 12
 GLANCE_EVERY = 3  # of the pixels, to tell that nothing has moved
 NOTICEABLE_PX = 0.4
-# in contrasts: a picture that fits no better than that at half of the pixels, or so much less well than it did, is looked at closely
+# in contrasts: a picture that fits no better at half of the pixels, or so much less well than it did, is looked at closely
 MOST_MISFIT, LESS_WELL = 0.6, 1.25
 WARP_GRID = 16  # the warp is smooth: it is computed on a coarse grid and interpolated
 
