@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +12,11 @@ import click
 
 from ..core.errors import MeshError, SettingsError
 from ..core.expected.placing import Placement
-from ..core.inspection import Check, Inspector, Summary
+from ..core.inspection import Check, Pictures, Summary
 from ..core.settings import Settings, read_value
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer
+from ..machine.replaying import Replay
 from ..machine.roads import MeshChoice
 from .report import Report
 
@@ -24,28 +27,37 @@ from .report import Report
 @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="A setting other than its default.")
 @click.option("--report", "page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
               help="Also write a page with plot and pictures, to be read anywhere.")  # fmt: skip
+@click.option("--fresh", is_flag=True, help="Look at every frame anew, whatever an earlier replay has kept.")
 @click.option("--mesh", type=click.Path(path_type=Path), help="Compare with this model (STL, OBJ, 3MF), as the paper.")
 @click.option("--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds.")
 @click.option("--layer-height-mm", type=float, help="With --mesh, where the G-code cannot be read.")
 def replay(
-    recording: Path, as_json: bool, changes: tuple[str, ...], page: Path | None,
+    recording: Path, as_json: bool, changes: tuple[str, ...], page: Path | None, fresh: bool,
     mesh: Path | None, mesh_at: str | None, layer_height_mm: float | None,
 ) -> None:  # fmt: skip
-    """Run the live plugin's pipeline over RECORDING, in time order and without looking ahead."""
+    """Run the live plugin's pipeline over RECORDING, in time order and without looking ahead.
+
+    What the frames show is kept beside them, so that another sensitivity is a matter of a moment.
+    """
     settings = _settings(changes)
     report = Report(f"Replay of {recording.resolve().name}")
     opened = Recording.open(recording)
-    road = opened.road(None if mesh is None else MeshChoice(mesh, placement_from(mesh_at), layer_height_mm))
-    for note in () if road.solid is None else road.notes:
-        click.echo(note, err=True)
+    choice = None if mesh is None else MeshChoice(mesh, placement_from(mesh_at), layer_height_mm)
+    replaying = Replay(opened, settings, mesh=choice)
+    kept = None if fresh or page is not None else replaying.kept()
     checks: list[Check] = []
-    with open_renderer() as renderer:
-        inspector = Inspector(opened.header, road.toolpath, road.drawn_by(renderer), settings, opened.reference())
-        for moment in opened.moments:
-            check = inspector.check(opened.frame(moment), road.moment(moment))
+    with contextlib.ExitStack() as stack:
+        looked: Iterable[tuple[Check, Pictures | None]]
+        if kept is not None:
+            looked = ((check, None) for check in kept)
+        else:
+            for note in () if replaying.road.solid is None else replaying.road.notes:
+                click.echo(note, err=True)
+            looked = replaying.looked(stack.enter_context(open_renderer()))
+        for check, pictures in looked:
             checks.append(check)
             if page is not None:
-                report.add(check, inspector.pictures if check.comparison else None)
+                report.add(check, pictures)
             click.echo(json.dumps(check.to_json()) if as_json else _sentence(check))
     summary = Summary.of(checks)
     if page is not None:

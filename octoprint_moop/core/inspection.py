@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Callable
 
@@ -13,9 +13,9 @@ import numpy as np
 from .calibration.selfcheck import Fit
 from .camera import Camera
 from .decision.compare import Comparison, compare
-from .decision.course import Course, Look, Ruling
+from .decision.course import Courses, Look, Ruling
 from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
-from .decision.diagnose import diagnose
+from .decision.diagnose import Diagnosis, diagnose
 from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
 from .errors import FrameError, SegmentationError
 from .expected.hardware import HeadModel
@@ -142,7 +142,7 @@ class Inspector:
         self._settings = settings
         self._reference_bgr = reference_bgr
         self._views: dict[str | None, View] = {}
-        self._courses: dict[str | None, Course] = {}
+        self._courses = Courses(settings.sensitivity)
         self._seen: dict[str | None, _Seen] = {}
         self._good_checks: dict[str | None, int] = {}
         self._shown: Callable[[], Pictures] | None = None
@@ -172,11 +172,11 @@ class Inspector:
         self._begin_anew(pardon)
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
-        for camera, seen in self._seen.items():
+        for seen in self._seen.values():
             findings = seen.findings
             memory = seen.view.memory(seen.moment)
             memory.accept(findings.window, findings.wanted, findings.look, findings.seen)
-            self._courses[camera].begin_anew(of)
+        self._courses.begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
@@ -206,16 +206,13 @@ class Inspector:
         return self.check(frame_bgr, replace(moment, again=True))
 
     def _check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
-        course = self._courses.setdefault(moment.camera, Course(self._settings.sensitivity))
-        before = self._seen.get(moment.camera)
-        again = moment.again and before is not None and before.moment.file_pos == moment.file_pos
         view = self._view(moment)
         try:
             steady = view.steady(frame_bgr, moment)
         except FrameError as error:
-            return self._blind(Look(blind=UNUSABLE, reason=str(error)), course, moment, again)
+            return self._blind(Look(blind=UNUSABLE, reason=str(error)), moment)
         if steady.moved:
-            return self._blind(Look(blind=CAMERA_MOVED, reason=steady.moved), course, moment, again)
+            return self._blind(Look(blind=CAMERA_MOVED, reason=steady.moved), moment)
         window, expected = steady.window, steady.expected
         seen = view.observe(steady)
         observed = seen.mask
@@ -228,7 +225,7 @@ class Inspector:
         self._shown = lambda: masks.pictures(steady)
         blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
         if blocked:
-            return self._blind(Look(comparison, UNUSABLE, blocked), course, moment, again)
+            return self._blind(Look(comparison, UNUSABLE, blocked), moment)
         view.accept(steady)
         memory = view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
@@ -237,13 +234,21 @@ class Inspector:
         sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer)
         findings = find(sight, memory)
         if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
-            return self._blind(Look(comparison, UNUSABLE, HIDDEN), course, moment, again)
+            return self._blind(Look(comparison, UNUSABLE, HIDDEN), moment)
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
-            return self._blind(Look(comparison, CAMERA_MOVED, sentence), course, moment, again)
+            return self._blind(Look(comparison, CAMERA_MOVED, sentence), moment)
         self._seen[moment.camera] = _Seen(view, moment, findings)
-        look = Look(comparison, scopes=findings.scopes)
-        ruling = course.rule(look, again)
+
+        def name(ruling: Ruling) -> dict[int, Diagnosis]:
+            return {
+                outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
+                for outcome in ruling.outcomes
+                if outcome.verdict != OK
+            }
+
+        self.look, ruling = self._courses.rule(Look(comparison, scopes=findings.scopes), moment, name)
+        assert ruling is not None
         if ruling.teaches:
             memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
@@ -251,21 +256,12 @@ class Inspector:
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
                 view.learn(steady, seen)
             view.check_calibration(moment, steady, masks.observed, masks.ignored)
-        names = {
-            outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
-            for outcome in ruling.outcomes
-            if outcome.verdict != OK
-        }
-        self.look = replace(look, names=names)
         return Check.of(moment, self.look, ruling, self._toolpath.objects)
 
-    def _blind(self, look: Look, course: Course, moment: Moment, again: bool) -> Check:
-        """Nothing can be judged; where this was to confirm what the last check saw, that stands unconfirmed."""
-        last, self.look = self.look, look
-        ruling = course.unconfirmed() if again else None
-        if ruling is None or last is None:
-            return Check.of(moment, look, None, self._toolpath.objects)
-        return Check.of(moment, last, ruling, self._toolpath.objects)
+    def _blind(self, look: Look, moment: Moment) -> Check:
+        self.look = look
+        shown, ruling = self._courses.rule(look, moment)
+        return Check.of(moment, shown, ruling, self._toolpath.objects)
 
     @staticmethod
     def _blocked(expected: Expected, hidden: np.ndarray, doubtful: np.ndarray, unsure: np.ndarray) -> str:
@@ -291,6 +287,17 @@ class Inspector:
                 HeadModel.from_text(self._settings.head, self._header.printer.width_mm), self._header.reference_mm,
             )  # fmt: skip
         return self._views[moment.camera]
+
+
+def conclude(looks: Iterable[tuple[Look, Moment]], sensitivity: str, objects: Sequence[str]) -> Iterator[Check]:
+    """The checks that an Inspector of that sensitivity would have made of looks, in time order, without their pictures.
+
+    The looks must have been named wherever this sensitivity suspects anything, as those of a more sensitive one are.
+    objects : the labelled objects' names
+    """
+    courses = Courses(sensitivity)
+    for look, moment in looks:
+        yield Check.of(moment, *courses.rule(look, moment), objects)
 
 
 @dataclass(frozen=True)

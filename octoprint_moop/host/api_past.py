@@ -104,9 +104,12 @@ class MoopPastApi(BlueprintPlugin):
         wanted = {key: read_value(key, value) for key, value in body().items()}
         values = {**{key: getattr(self._moop_settings, key) for key in DEFAULTS}, **wanted}
         masks = self._masks(name)
-        shutil.rmtree(masks.parent, ignore_errors=True)  # those of one recording are enough
+        with contextlib.suppress(OSError):  # those of one recording are enough
+            for other in masks.parent.iterdir():
+                if other != masks:
+                    shutil.rmtree(other, ignore_errors=True)
         try:
-            masks.mkdir(parents=True)
+            masks.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RecordingError(f"There is no room for the pictures of a replay: {error.strerror or error}.") from None
         found, _ = self._replay_eye.ask(

@@ -180,34 +180,39 @@ def replay(
 ) -> Answer:
     """What would have been concluded from a recording with these settings and this filament: checks and a summary.
 
-    masks : a folder for the masks of each check: 12.seen.png, 12.expected.png, 12.ignored.png
+    masks : a folder for the masks of each check: 12.seen.png, 12.expected.png, 12.ignored.png. They do not depend on the
+    sensitivity: those that are there stay where nothing else has changed.
     """
     from dataclasses import replace
     from pathlib import Path
 
-    from ..core.inspection import Inspector, Summary
+    from ..core.inspection import Summary
     from ..core.settings import read_settings
     from .recording import Recording
     from .renderers import open_renderer
+    from .replaying import Replay
 
     opened = Recording.open(recording)
     header = replace(opened.header, material=HsvThresholds.from_json(material))
-    checks = []
-    road = opened.road()
-    with open_renderer() as renderer:
-        inspector = Inspector(
-            header, road.toolpath, road.drawn_by(renderer), read_settings(settings), opened.reference()
-        )
-        for number, moment in enumerate(opened.moments):
-            checks.append(inspector.check(opened.frame(moment), road.moment(moment)))
-            pictures = inspector.pictures
-            if pictures is not None:
-                for kind, mask in (
-                    ("seen", pictures.observed),
-                    ("expected", pictures.expected),
-                    ("ignored", pictures.ignored),
-                ):
-                    Path(masks, f"{number}.{kind}.png").write_bytes(encode_mask(mask))
+    replaying, drawn_for = Replay(opened, read_settings(settings), header), Path(masks, "key")
+    key = replaying.key()
+    checks = replaying.kept() if drawn_for.is_file() and drawn_for.read_text() == key else None
+    if checks is None:
+        checks = []
+        drawn_for.unlink(missing_ok=True)
+        for old in Path(masks).glob("*.png"):
+            old.unlink()
+        with open_renderer() as renderer:
+            for number, (check, pictures) in enumerate(replaying.looked(renderer)):
+                checks.append(check)
+                if pictures is not None:
+                    for kind, mask in (
+                        ("seen", pictures.observed),
+                        ("expected", pictures.expected),
+                        ("ignored", pictures.ignored),
+                    ):
+                        Path(masks, f"{number}.{kind}.png").write_bytes(encode_mask(mask))
+        drawn_for.write_text(key)
     lines = [{**check.to_json(), "id": number} for number, check in enumerate(checks)]
     return {"checks": lines, "summary": Summary.of(checks).to_json()}, []
 

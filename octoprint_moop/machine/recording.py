@@ -87,7 +87,20 @@ class Recording:
 
     def frame(self, moment: Moment) -> np.ndarray:
         """(H, W, 3) uint8 BGR. Raises RecordingError where the picture is missing or damaged."""
-        return read_frame(self._inside(moment.frame))
+        return read_frame(self.frame_path(moment))
+
+    def frame_path(self, moment: Moment) -> Path:
+        """Raises RecordingError where its name leads out of the recording."""
+        return self._inside(moment.frame)
+
+    def sources(self) -> tuple[Path, ...]:
+        """What the frames are compared with: the job, plain or packed, the empty bed, a model; where there are any."""
+        names = ["reference.jpg"]
+        if self.header.job_file:
+            names += [self.header.job_file, f"{self.header.job_file}.gz"]
+        if self.header.mesh is not None:
+            names.append(self.header.mesh.file)
+        return tuple(path for path in map(self._inside, names) if path.is_file())
 
     def _inside(self, name: str) -> Path:
         """A file of this recording; a name that leads out of the folder is refused."""

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from statistics import median
 from typing import Any, Callable
 
+from ..header import Moment
 from .compare import Comparison
 from .decide import (
     CONFIRMED,
@@ -171,6 +172,40 @@ class Course:
         spread = 1.4826 * median(abs(error - usual) for error in errors) if len(errors) >= 5 else 0.0
         total_px = 0 if comparison is None else comparison.total_px
         return usual + 3 * spread + matter_limit(track, total_px, self._sensitivity)
+
+
+class Courses:
+    """One course before each camera: what was usual for the one would be a surprise for the other."""
+
+    def __init__(self, sensitivity: str) -> None:
+        self._sensitivity = sensitivity
+        self._courses: dict[str | None, Course] = {}
+        self._judged: dict[str | None, tuple[int, Look]] = {}
+
+    def rule(
+        self, look: Look, moment: Moment, name: Callable[[Ruling], Mapping[int, Diagnosis]] | None = None
+    ) -> tuple[Look, Ruling | None]:
+        """What follows from the next look; None where nothing could be judged. And the look that it follows from.
+
+        name : what failures would be called, for a look that does not know it yet
+        Where a second look is blind, the first stands unconfirmed.
+        """
+        course = self._courses.setdefault(moment.camera, Course(self._sensitivity))
+        file_pos, before = self._judged.get(moment.camera, (None, look))
+        again = moment.again and file_pos == moment.file_pos
+        if look.blind:
+            ruling = course.unconfirmed() if again else None
+            return (look, None) if ruling is None else (before, ruling)
+        ruling = course.rule(look, again)
+        if name is not None:
+            look = replace(look, names=name(ruling))
+        self._judged[moment.camera] = (moment.file_pos, look)
+        return look, ruling
+
+    def begin_anew(self, of: Callable[[Track], Track]) -> None:
+        """See `Course.begin_anew`; of all cameras that have judged anything."""
+        for course in self._courses.values():
+            course.begin_anew(of)
 
 
 def _in_both(first: Sequence[Evidence], second: Sequence[Evidence]) -> tuple[Evidence, ...]:
