@@ -150,3 +150,15 @@ def test_a_file_of_nothing_but_arcs_takes_no_more_memory_than_a_multiple_of_its_
     monkeypatch.undo()
     usual = read_gcode_bytes(b"M83\nG1 X0 Y0 Z0.2\n" + b"G2 X10 Y10 I5 J5 E1\nG3 X0 Y0 I-5 J-5 E1\n" * 3000)
     assert usual.notes == ()
+
+
+def test_a_file_that_feeds_by_a_is_read_as_if_it_said_e():
+    by_e = "G21\nG90\nG92 E0\nG1 X0 Y0 Z0.2\n" + "".join(f"G1 X{k % 2 * 9} Y{k} E{k + 1}\nG1 F9 E{k}\n" for k in range(40))
+    by_a = by_e.replace("E", "A")
+    one, other = (read_gcode_bytes(text.encode()) for text in (by_e, by_a))
+    np.testing.assert_array_equal(one.beads_mm, other.beads_mm)
+    assert one.filament_mm == other.filament_mm
+    relative = "G92 A0\n" + "".join(f"G1 X{k % 2 * 9} Y{k} Z.2 A{0.5 + k % 3}\n" for k in range(40))
+    assert len(read_gcode_bytes(relative.encode())) == 39  # the first goes nowhere
+    turned = "G1 X0 Y0 Z.2 A90\nM83\nG1 X9 A45 E1\n"  # an axis that turns, beside E
+    assert read_gcode_bytes(turned.encode()).filament_mm == 1

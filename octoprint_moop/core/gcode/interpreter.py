@@ -48,8 +48,9 @@ class Interpreter:
     last_xy : where the last bead ends
     """
 
-    def __init__(self, relative_e: bool = False) -> None:
-        self.said = Said()
+    def __init__(self, relative_e: bool = False, extruder: str = "E") -> None:
+        """extruder : the letter that feeds; Mach3, MakerWare and Sailfish say A"""
+        self.said, self.extruder = Said(), extruder
         self.laid = 0
         self.last_xy = (0.0, 0.0)
         self._path, self._end_pos = array("f"), array("q")
@@ -104,7 +105,7 @@ class Interpreter:
     def comment(self, text: str) -> None:
         """Take note of a comment, the text after the semicolon."""
         self.said.comment(text, self.laid)
-        own = self.said.custom or not self.said.layers
+        own = self.said.custom or not (self.said.layers or self.said.role.bead)
         if own != self.own_gcode:
             used = sum(self.most_fed.values())
             if self._custom_from is not None:
@@ -120,7 +121,7 @@ class Interpreter:
 
     @property
     def own_gcode(self) -> bool:
-        """What is being read is the user's own G-code: what precedes the first layer comment, or is said to be custom."""
+        """What is being read is the user's own G-code: what precedes all layers and features, or is said to be custom."""
         return self._custom_from is not None
 
     def _sub(self, name: str, number: int) -> None:
@@ -140,7 +141,10 @@ class Interpreter:
         return 1.0 if self.volumetric else self.unit_mm
 
     def _words(self, rest: str) -> dict[str, float | None]:
-        return {letter: float(value) if value else None for letter, value in _WORD.findall(rest.upper())}
+        words = {letter: float(value) if value else None for letter, value in _WORD.findall(rest.upper())}
+        if self.extruder != "E" and self.extruder in words:
+            words["E"] = words.pop(self.extruder)
+        return words
 
     def _g(self, number: int, rest: str, end_pos: int) -> None:
         if number in (0, 1):

@@ -39,6 +39,12 @@ _E_MODE = re.compile(  # of bounded width: an unbounded one takes quadratic time
     rb"|G0{0,8}[123][ \t][^;\r\n]{0,60}?[XY][^;\r\n]{0,60}?E[ \t]?(\d{1,12}\.?\d{0,12}|\.\d{1,12}))",
     re.MULTILINE | re.IGNORECASE,
 )
+_FEEDS = {
+    letter: re.compile(
+        rb"^[ \t]{0,8}G0{0,8}[123][ \t][^;\r\n]{0,60}?[ \t]" + letter + rb"-?\.?\d", re.MULTILINE | re.IGNORECASE
+    )
+    for letter in (b"A", b"E")
+}
 # Lines that cannot change how moves are read: comments, object labels, macros, and M codes other than these.
 _STATELESS = re.compile(
     rb"[;@]|[A-FH-LO-QU-Z]|[RS](?!ESTORE_GCODE|AVE_GCODE)|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d"
@@ -119,7 +125,8 @@ def read_stream(
     head = file.read(HEAD_BYTES)
     refuse_what_is_no_gcode(head, name)
     file.seek(0)
-    reader = _Reader(Interpreter(looks_relative(head)), len(BOM) if head.startswith(BOM) else 0, folder)
+    extruder = "A" if feeds_by_a(head) else "E"
+    reader = _Reader(Interpreter(looks_relative(head, extruder), extruder), len(BOM) if head.startswith(BOM) else 0, folder)
     for chunk, length in chunks(file, name):
         reader.read(chunk, length)
         if progress is not None and size:
@@ -161,7 +168,7 @@ class _Reader:
         self.end_pos = Column("<i8", 1, folder and folder / "end_pos.npy")
 
     def read(self, chunk: bytes, length: int) -> None:
-        if b"\r" in chunk and chunk.count(b"\r") != chunk.count(b"\r\n"):
+        if self.machine.extruder != "E" or (b"\r" in chunk and chunk.count(b"\r") != chunk.count(b"\r\n")):
             self._read_by_line(chunk, length)
         else:
             self._read_by_rows(chunk, length)
@@ -197,7 +204,7 @@ class _Reader:
         """A comment after which filament may be fed by another than before, see `Interpreter.own_gcode`."""
         if self.machine.own_gcode:
             word = raw.lower()
-            return b"layer" in word or (self.machine.said.custom and raw.startswith(b";"))
+            return b"layer" in word or raw.startswith((b";TYPE:", b"; FEATURE:", b"; feature"))
         return b"ustom" in raw
 
     def _run(self, run: _Chunk, begin: int, end: int, waiting: list[int]) -> None:
@@ -284,13 +291,20 @@ def refuse_what_is_no_gcode(head: bytes, name: str) -> None:
         raise GcodeError(f"{name} is not a text file, so it is no G-code. Choose the file that the slicer exported.")
 
 
-def looks_relative(head: bytes) -> bool:
+def feeds_by_a(head: bytes) -> bool:
+    """Whether a file moves its extruder by A instead of E, as for Mach3, MakerWare and Sailfish."""
+    return _FEEDS[b"E"].search(head) is None and _FEEDS[b"A"].search(head) is not None
+
+
+def looks_relative(head: bytes, extruder: str = "E") -> bool:
     """Whether a file that never says M82 or M83 before it extrudes means relative E (set by a start macro).
 
     In absolute mode E grows from one extruding move to the next; relative amounts go up and down.
     """
     previous: float | None = None
     smaller = total = 0
+    if extruder != "E":
+        head = head.replace(b" " + extruder.encode(), b" E")
     for found in _E_MODE.finditer(head):
         command, value = found.groups()
         if command:
