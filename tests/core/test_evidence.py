@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from octoprint_moop.core.decision.evidence import about_print, near_to, without_specks
+from octoprint_moop.core.decision.evidence import near_to, without_specks
+from octoprint_moop.core.expected.views import surroundings
 
 from .stage import LAYER_PX, SHAPE, Stage, moved, wall, walls
 
@@ -160,7 +161,7 @@ def test_only_spots_that_come_near_the_print_are_kept_and_then_whole():
 def test_the_window_stays_in_the_picture():
     complete = np.zeros((100, 100), np.uint8)
     complete[:, 90:] = 255
-    rows, columns = about_print(complete)
+    rows, columns = surroundings(complete)
     assert (rows.start, rows.stop) == (0, 100) and 0 < columns.start < columns.stop == 100
 
 

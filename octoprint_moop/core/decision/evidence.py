@@ -24,7 +24,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from ..expected.views import Expected, PrintMap
+from ..expected.views import Expected, PrintMap, box_about, surroundings
 from . import align
 from .memory import CHANGED, Memory, Window, about, placed, planes, register
 
@@ -134,7 +134,7 @@ def find(sight: Sight, memory: Memory) -> Findings:
     While the memory is still settling, the calibration's misfit is looked for first: what moving the whole picture by a
     few pixels explains at the first layers is no failure of the print.
     """
-    window, around = close_to(sight), about_print(sight.expected.complete)
+    window, around = close_to(sight), surroundings(sight.expected.complete)
     memory.settle(window, sight.expected.mask[window] > 0, sight.observed, sight.ignored)
     findings = _weigh(sight, memory, around if memory.wants_surroundings else window)
     if _out_of_place_px(findings) < MOVED_LEAST_PX:
@@ -338,24 +338,12 @@ class _Counter:
         return counts
 
 
-def about_print(complete: np.ndarray) -> Window:
-    """Rows and columns about the complete print, a third of its size around."""
-    _, _, width, height = cv2.boundingRect(complete)
-    return _box(complete, max(width, height) // 3 + 32)
-
-
 def close_to(sight: Sight) -> Window:
     """Rows and columns of all that is expected and all that is seen: where anything can be found, if all is well."""
     margin = round(AROUND_PX * sight.finer)
-    seen, around = _box(sight.expected.complete | sight.observed, margin), about_print(sight.expected.complete)
+    seen, around = box_about(sight.expected.complete | sight.observed, margin), surroundings(sight.expected.complete)
     rows, columns = (slice(max(one.start, other.start), min(one.stop, other.stop)) for one, other in zip(seen, around))
     return rows, columns
-
-
-def _box(mask: np.ndarray, margin: int) -> Window:
-    height, width = mask.shape
-    x, y, w, h = cv2.boundingRect(mask)
-    return slice(max(y - margin, 0), min(y + h + margin, height)), slice(max(x - margin, 0), min(x + w + margin, width))
 
 
 def _reach_px(sight: Sight) -> float:

@@ -73,6 +73,16 @@ class Expected:
     hidden: np.ndarray | None = None
     volume: np.ndarray | None = None
 
+    def part(self, rows: slice, columns: slice) -> Expected:
+        """The same in a part of the view."""
+        part = (rows, columns)
+        return replace(
+            self,
+            birth=self.birth[part],
+            hidden=None if self.hidden is None else self.hidden[part],
+            volume=None if self.volume is None else self.volume[part],
+        )
+
     @cached_property
     def mask(self) -> np.ndarray:
         """uint8, 255 where material must be seen now."""
@@ -356,6 +366,22 @@ class ExpectedViews:
                 ends = own[:, [0, 1, 3, 4]].reshape(-1, 2)
                 low[index], high[index] = ends.min(axis=0), ends.max(axis=0)
         return low, high
+
+
+def box_about(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Rows and columns that hold a mask (uint8) and so many pixels around."""
+    height, width = mask.shape
+    x, y, w, h = cv2.boundingRect(mask)
+    return slice(max(y - margin, 0), min(y + h + margin, height)), slice(max(x - margin, 0), min(x + w + margin, width))
+
+
+def surroundings(complete: np.ndarray, least_px: int = 24) -> tuple[slice, slice]:
+    """Rows and columns in which matter may lie that has to do with a print: its own, and a quarter of its size around.
+
+    complete : (H, W) uint8, as of Expected; where it is empty all may be looked at
+    """
+    _, _, width, height = cv2.boundingRect(complete)
+    return box_about(complete, max(width, height) // 4 + least_px if width else max(complete.shape))
 
 
 def _between(birth: np.ndarray, first: int, end: int) -> np.ndarray:

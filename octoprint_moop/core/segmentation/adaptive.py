@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..expected.views import Expected
+from ..expected.views import Expected, surroundings
 from .appearance import ColourModel, Plate, count_colours, every_colour, opponent
 from .segment import HsvThresholds, Observation, segment_hsv
 from .weigh import Look, weigh
@@ -159,10 +159,9 @@ def _apart(colours: np.ndarray, others: np.ndarray, least: float) -> np.ndarray:
 
 
 def _region(expected: Expected | None, shape: tuple[int, int]) -> tuple[int, int, int, int]:
-    """The part of the view that is looked at: the complete print and a third of its size around; all without one."""
+    """The part of the view that is looked at: the complete print and its surroundings; all without one."""
     height, width = shape
-    x, y, w, h = (0, 0, 0, 0) if expected is None else cv2.boundingRect(expected.complete)
-    if not w:
+    if expected is None:
         return (0, 0, width, height)
-    margin = max(w, h) // 3 + 32
-    return (max(x - margin, 0), max(y - margin, 0), min(x + w + margin, width), min(y + h + margin, height))
+    rows, columns = surroundings(expected.complete)
+    return (columns.start, rows.start, columns.stop, rows.stop)

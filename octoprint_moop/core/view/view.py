@@ -10,11 +10,10 @@ import numpy as np
 from ..calibration.refine import SilhouetteView
 from ..calibration.selfcheck import SelfCheck
 from ..camera import BedMotion, Camera
-from ..decision.evidence import about_print
 from ..decision.memory import Memory
 from ..errors import FrameError
 from ..expected.hardware import HeadModel
-from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap
+from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, box_about, surroundings
 from ..header import Moment, Printer
 from ..segmentation.adaptive import AdaptiveSegmenter
 from ..segmentation.segment import HsvThresholds, Observation, Segmenter, ThresholdSegmenter
@@ -28,6 +27,7 @@ from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
+CALIBRATION_REACH_PX = 16  # how far from the expected edges the seen ones are looked for, and a little more
 MOST_HIDDEN_RATIO = 0.005  # of the print's surroundings, by the head in the picture of the empty bed
 
 
@@ -129,7 +129,7 @@ class View:
         frame_bgr = fit_frame(frame_bgr, self._camera)
         refuse_unusable(frame_bgr, None)
         expected = self._expected.at(moment.file_pos, moment.position_mm, parked=moment.parked)
-        head = expected.head[about_print(expected.complete)]
+        head = expected.head[surroundings(expected.complete)]
         if cv2.countNonZero(head) > MOST_HIDDEN_RATIO * head.size or self._backdrop is not None:
             return False
         self._bare_bgr, self._bare_position_mm = frame_bgr, moment.position_mm
@@ -238,8 +238,10 @@ class View:
         """
         window = steady.window
         pose = self._expected.pose(moment.position_mm)
+        rows, columns = near = box_about(steady.sharp.mask, CALIBRATION_REACH_PX)
+        corner_px = (window.x0 + columns.start, window.y0 + rows.start)
         better = self.selfcheck.good(
-            SilhouetteView(steady.sharp, observed, np.array(pose), ignored, (window.x0, window.y0))
+            SilhouetteView(steady.sharp.part(*near), observed[near], np.array(pose), ignored[near], corner_px)
         )
         if better is None:
             return

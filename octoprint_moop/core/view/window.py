@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ..expected.views import Expected, PrintMap
+from ..expected.views import Expected, PrintMap, surroundings
 from .glance import finer, shrunk
 
 WORK_WIDTH_PX = 900  # a picture twice as wide is looked at in half the size, and so on
@@ -30,16 +30,13 @@ class Window:
 
     @classmethod
     def about(cls, complete: np.ndarray) -> Window:
-        """About the complete print, (H, W) uint8, and a third of its size around: so far may matter lie that belongs to it."""
+        """About the complete print, (H, W) uint8, and what is around it; see `surroundings`."""
         height, width = complete.shape
         unit = 4 * finer(width)
         step = max(step for step in range(1, max(width // WORK_WIDTH_PX, 1) + 1) if unit % step == 0)
-        x, y, w, h = cv2.boundingRect(complete)
-        if not w:
-            x, y, w, h = 0, 0, width, height
-        margin = max(w, h) // 3 + 32 * step
-        x0, x1 = _sides(x - margin, x + w + margin, width, unit)
-        y0, y1 = _sides(y - margin, y + h + margin, height, unit)
+        rows, columns = surroundings(complete, 24 * step)
+        x0, x1 = _sides(columns.start, columns.stop, width, unit)
+        y0, y1 = _sides(rows.start, rows.stop, height, unit)
         return cls((width, height), x0, y0, x1, y1, step)
 
     def holds(self, complete: np.ndarray) -> bool:
@@ -47,7 +44,7 @@ class Window:
         if complete.shape[::-1] != self.size_px:
             return False
         x, y, w, h = cv2.boundingRect(complete)
-        margin = max(w, h) // 4
+        margin = max(w, h) // 8
         width, height = self.size_px
         within_x = self.x0 <= max(x - margin, 0) and min(x + w + margin, width - self._unit) <= self.x1
         within_y = self.y0 <= max(y - margin, 0) and min(y + h + margin, height - self._unit) <= self.y1
