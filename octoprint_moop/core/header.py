@@ -8,6 +8,7 @@ from typing import Any
 
 from .camera import BedMotion, Camera
 from .errors import CameraError, RecordingError
+from .head import HeadModel
 from .segmentation.segment import HsvThresholds
 
 FORMAT = "moop-recording"
@@ -82,7 +83,10 @@ class Moment:
 
 @dataclass(frozen=True)
 class Printer:
-    """The machine's geometry: the part of OctoPrint's printer profile that matters here, and how the bed moves."""
+    """The machine's geometry: the part of OctoPrint's printer profile that matters here, and how the bed moves.
+
+    head : the shape of its print head; None for that of the settings
+    """
 
     width_mm: float
     depth_mm: float
@@ -92,10 +96,11 @@ class Printer:
     bed: BedMotion = BedMotion()
     nozzle_mm: float = 0.4
     filament_mm: float = 1.75
+    head: HeadModel | None = None
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Printer:
-        """Raises RecordingError naming what is missing or makes no sense."""
+        """Raises RecordingError naming what is missing or makes no sense, SettingsError for the head."""
         try:
             volume = data["volume_mm"]
             reference = data.get("bed_reference_mm") or {"x": 0.0, "y": 0.0, "z": 0.0}
@@ -107,6 +112,7 @@ class Printer:
                 width_mm=float(volume["width"]), depth_mm=float(volume["depth"]), height_mm=float(volume["height"]),
                 origin=str(data.get("origin", "lowerleft")), form_factor=str(data.get("form_factor", "rectangular")),
                 bed=bed, nozzle_mm=float(data.get("nozzle_mm", 0.4)), filament_mm=float(data.get("filament_mm", 1.75)),
+                head=HeadModel.from_json(data["head"]) if data.get("head") is not None else None,
             )  # fmt: skip
         except KeyError as missing:
             raise RecordingError(f"The printer has no {missing.args[0]!r}.") from None
@@ -126,6 +132,7 @@ class Printer:
             "origin": self.origin, "form_factor": self.form_factor,
             "bed_motion": self.bed.kind, "bed_reference_mm": {"x": x, "y": y, "z": z},
             "nozzle_mm": self.nozzle_mm, "filament_mm": self.filament_mm,
+            **({} if self.head is None else {"head": self.head.to_json()}),
         }  # fmt: skip
 
 

@@ -18,8 +18,8 @@ from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, 
 from .decision.diagnose import Diagnosis, diagnose
 from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
 from .errors import FrameError, SegmentationError
-from .expected.hardware import HeadModel
 from .expected.views import Expected, MaskRenderer
+from .head import HeadModel
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
@@ -278,13 +278,18 @@ class Inspector:
             return "Filament and bed look alike here: more light, or a bed of another colour, would help."
         return ""
 
+    def _head(self) -> HeadModel:
+        """The printer's own, else that of the settings, else a common one."""
+        printer = self._header.printer
+        return printer.head or HeadModel.from_text(self._settings.head, printer.width_mm)
+
     def _view(self, moment: Moment) -> View:
         if moment.camera not in self._views:
             first = moment.camera is None or moment.camera == self._header.cameras[0][0]
             self._views[moment.camera] = View(
                 self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
                 self._header.material, self._settings.segmentation, self._reference_bgr if first else None,
-                HeadModel.from_text(self._settings.head, self._header.printer.width_mm), self._header.reference_mm,
+                self._head(), self._header.reference_mm,
             )  # fmt: skip
         return self._views[moment.camera]
 

@@ -7,7 +7,9 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, Callable
 
 from .errors import SettingsError
+from .head import HeadModel
 
+WIDTH_MM = 250.0  # of any bed, to see whether a head makes sense
 VERSION = 1
 """Format of the stored settings. Raise it together with a new entry in MIGRATIONS."""
 
@@ -156,6 +158,8 @@ def read_value(name: str, value: Any) -> Any:
             raise SettingsError(f"{name} is {value!r}; one of {', '.join(limits['choices'])} is needed.")
         if len(str(value)) > MOST_TEXT:
             raise SettingsError(f"{name} is {len(str(value))} characters long; at most {MOST_TEXT} are allowed.")
+        if name == "head":
+            HeadModel.from_text(str(value), WIDTH_MM)
         return str(value)
     low, high, unit = limits["low"], limits["high"], limits["unit"]
     try:

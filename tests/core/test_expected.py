@@ -11,10 +11,12 @@ import pytest
 from octoprint_moop.core.camera import BedMotion
 from octoprint_moop.core.errors import RecordingError, SettingsError
 from octoprint_moop.core.expected import views as module
-from octoprint_moop.core.expected.hardware import Box, HeadModel
+from octoprint_moop.core.expected.hardware import hidden_by
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.expected.views import ExpectedViews
+from octoprint_moop.core.head import Box, HeadModel
 from octoprint_moop.core.header import Header, Moment, Printer
+from octoprint_moop.core.settings import read_value
 from octoprint_moop.core.toolpath import Role
 from octoprint_moop.core.view.view import View
 from tests.made import camera_at, toolpath_of, vase
@@ -181,7 +183,7 @@ def test_an_unparked_head_may_hide_what_lies_within_its_volume():
 
 def test_a_beam_that_reaches_behind_the_camera_does_not_turn_inside_out():
     head = HeadModel((), Box((-500, -400, 150), (800, -60, 160)))
-    mask = head.mask((100, 0, 0), BedMotion(), CAMERA)
+    mask = hidden_by(head, (100, 0, 0), BedMotion(), CAMERA)
     assert not mask[-100:].any()
 
 
@@ -257,3 +259,23 @@ def test_a_moment_carries_what_was_cancelled_and_the_view_expects_it_no_more():
     stays = (print_.object_id == 0) | (print_.end_pos <= cancel_pos)
     assert np.array_equal(view.expected(moment).complete, drawn_alone(print_, stays))
     assert (view.print_map(moment).owner >= 0).any()
+
+
+def test_a_head_that_makes_no_sense_is_refused_where_it_is_entered():
+    for wrong, word in (
+        ("{head", "not JSON"), ("[" * 99999, "head"), ('{"head": 3}', "list of boxes"),
+        ('{"head": [{"low_mm": [0, 0, 0]}]}', "low_mm"),
+    ):  # fmt: skip
+        with pytest.raises(SettingsError, match=word):
+            read_value("head", wrong)
+    assert read_value("head", "") == ""
+    printer = {**Printer(200, 200, 200).to_json(), "head": {"head": [{"low_mm": [5], "high_mm": [1]}]}}
+    with pytest.raises(SettingsError, match="three numbers"):
+        Printer.from_json(printer)
+
+
+def test_each_printer_may_have_a_head_of_its_own():
+    own = HeadModel((Box((-1, -2, 0), (1, 2, 3)),), Box((-9, 1, 2), (9, 2, 3)))
+    printer = Printer(200, 200, 200, head=own)
+    assert Printer.from_json(json.loads(json.dumps(printer.to_json()))) == printer
+    assert "head" not in Printer(200, 200, 200).to_json()

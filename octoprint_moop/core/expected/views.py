@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from ..camera import BedMotion, Camera
+from ..head import HeadModel
 from ..toolpath import Role, Toolpath
-from .hardware import HeadModel
+from .hardware import hidden_by
 from .lens import blind_area
 from .solid import Solid
 
@@ -214,7 +215,7 @@ class ExpectedViews:
         laid = self._toolpath.laid_at(file_pos)
         volume = None
         if not parked and self._head is not None:
-            volume = self._head.mask(position_mm, self._bed, self._camera)
+            volume = hidden_by(self._head, position_mm, self._bed, self._camera)
         birth = self._birth(self._drawing(position_mm, file_pos, cancelled, parked))
         doubt = 0 if sure_pos is None else laid - self._toolpath.laid_at(sure_pos)
         return Expected(birth, laid, before, doubt, self._blind, volume)

@@ -12,8 +12,8 @@ from ..calibration.selfcheck import SelfCheck
 from ..camera import BedMotion, Camera
 from ..decision.memory import Memory
 from ..errors import FrameError
-from ..expected.hardware import HeadModel
 from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, box_about, surroundings
+from ..head import HeadModel
 from ..header import Moment, Printer
 from ..segmentation.adaptive import AdaptiveSegmenter
 from ..segmentation.segment import HsvThresholds, Observation, Segmenter, ThresholdSegmenter
