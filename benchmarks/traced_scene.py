@@ -90,7 +90,7 @@ class Studio:
 
     look: Look
     eye: Eye
-    samples: int = 12
+    samples: int = 6
     _fixed: dict = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -354,16 +354,17 @@ class Studio:
         width, height = eye.size
         clear = FILAMENTS[self.look.filament][1] == "clear"
         tracer = mi.load_dict({"type": "path", "max_depth": 8 if clear else 3, "rr_depth": 8})
-        sampler = mi.load_dict({"type": "multijitter", "sample_count": self.samples})
+        samples = self.samples if window is None else 3 * self.samples // 2
+        sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
         numbers = np.arange(width * height, dtype=np.uint32).reshape(height, width)
         if window is not None:
             numbers = numbers[window]
-        sampler.seed(seed, numbers.size * self.samples)
-        ordinal = dr.arange(mi.UInt32, numbers.size * self.samples) // self.samples
+        sampler.seed(seed, numbers.size * samples)
+        ordinal = dr.arange(mi.UInt32, numbers.size * samples) // samples
         pixel = dr.gather(mi.UInt32, mi.UInt32(numbers.ravel()), ordinal)
         jitter = sampler.next_2d()
         spectrum, _, _ = tracer.sample(scene, sampler, self._rays(eye, jitter.x, jitter.y, pixel))
-        linear_rgb = np.array(spectrum).reshape(3, *numbers.shape, self.samples)
+        linear_rgb = np.array(spectrum).reshape(3, *numbers.shape, samples)
         if window is None:
             self._level = np.percentile(linear_rgb[1, ::4, ::4], 98) * 1.7
         linear_rgb = smoothed(np.minimum(linear_rgb, self._level).mean(axis=3).transpose(1, 2, 0), self._level)
