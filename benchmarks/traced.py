@@ -304,7 +304,7 @@ def make(seed: int, out: Path, frames_limit: int = 36, every: int = 1) -> Path:
         key, ambient = trouble.lamps(number)
         matter = growth.actual(number)
         hand = (low + high) / 2 * [1, 1, 0] + [0, 0, z] if number in trouble.hand else None
-        scene_now = (at_eye is eye, key, hand is None, tuple(look.shift_mm(position)), plan.parked)
+        scene_now = (at_eye is eye, key, tuple(look.shift_mm(position)), hand is None or number)
         window = None
         if plan.parked and scene_now == scene_before and number % 5:  # what stands still need not be traced anew
             window = studio.window(matter, position, at_eye)

@@ -292,10 +292,11 @@ class Studio:
     def _hand_parts(self, at: np.ndarray, rng: np.random.Generator) -> dict:
         """A hand that reaches in from the camera's side."""
         toward = self.eye.centre_mm - at
-        toward = toward / np.linalg.norm(toward)
+        far = float(np.linalg.norm(toward))
+        toward = toward / far
         aside = np.cross(toward, [0, 0, 1])
-        palm = at + toward * 35 + [0, 0, 28] + aside * rng.normal(0, 10)
-        arm = palm + toward * 170 + aside * rng.choice([-70, 70]) + [0, 0, 20]
+        palm = at + toward * min(35.0, 0.15 * far) + [0, 0, 28] + aside * rng.normal(0, 10)
+        arm = palm + aside * rng.choice([-230, 230]) + [0, 0, 50]
         parts = {"arm": rod(palm, arm, 27, self._skin)}
         place = T().translate([float(v) for v in palm]).scale([38, 38, 17])
         parts["palm"] = mi.load_dict({"type": "sphere", "to_world": place, "bsdf": self._skin})
