@@ -161,7 +161,7 @@ def thresholds(frame_bgr: np.ndarray, matter: np.ndarray) -> dict:
     grey = np.median(hsv[:, 1]) < 0.2
     hue = [0, 360] if grey else [round(float(low) % 360), round(float(high) % 360)]
     return {
-        "hue_deg": hue, "saturation_min": 0.0 if grey else round(float(np.percentile(hsv[:, 1], 5)), 2),
+        "hue_deg": hue, "saturation_min": 0.0 if grey else round(min(float(np.percentile(hsv[:, 1], 5)), 0.9), 2),
         "value_min": round(float(np.percentile(hsv[:, 2], 5)), 2),
     }  # fmt: skip
 
