@@ -111,8 +111,8 @@ def bed_surface(look: Look, rng: np.random.Generator) -> dict:
     if look.bed == "metal":
         streak = cv2.GaussianBlur(rng.normal(0, 1, (size, size)).astype(np.float32), (0, 0), sigmaX=60, sigmaY=0.6)
         picture = base * (0.50 + 0.10 * streak[..., None] / streak.std())
-        metal = {"type": "roughconductor", "material": "Al", "alpha_u": 0.28, "alpha_v": 0.12}
-        metal["specular_reflectance"] = bitmap(scratched(rng, np.clip(picture, 0.1, 0.9), 120, 0.3))
+        metal = {"type": "principled", "metallic": 0.7, "roughness": 0.42, "anisotropic": 0.7, "specular": 0.5}
+        metal["base_color"] = bitmap(scratched(rng, np.clip(picture, 0.1, 0.9), 120, 0.3))
         return {"type": "twosided", "bsdf": metal}
     picture = (
         base * linear([(205, 205, 200), (38, 38, 40), (120, 122, 126)][rng.integers(3)]) * (1 + 0.05 * fine[..., None])
