@@ -28,11 +28,12 @@ from .outline import Feet, drop_feet, hole_outline, inner_colour, marker_outline
 # Radians, mm; px of the edges' common offset, and by which part of its height a marker's side looks lower than it is.
 _STEPS = np.array([1e-4] * 3 + [0.02] * 3 + [0.01, 0.01])
 _OFFSET_SPREAD_PX, _RAISED_SPREAD = 0.5, 0.3  # how far these usually are from none
-_ALONG_EDGE = 4.0  # neighbouring edge points share their error
+_ALONG_EDGE = 8.0  # neighbouring edge points share their error
 _LEAST_EDGES = 0.4  # of an outline that must be seen
 _STRAY_RATIO = 0.12  # of edge points that may lie off the outlines: something stands in front, or touches a marker
 _STRAY_OF_PICTURE, _STRAY_OF_MARKER = 1 / 800, 0.015  # how far is off, of the picture's and a marker's width
 _WORST_OFFSET_PX = 1.5
+_GOOD_ROUGH_PX, _WORST_ROUGH_PX = 2.0, 4.0
 _HEIGHT_MM = 100.0  # above the bed, up to which the pose's accuracy is told
 
 
@@ -89,11 +90,14 @@ def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: Hs
     lens = lens_for(image, lens)
     discs = find_discs(image, colour)
     picture = image.astype(np.float32)
-    fitted = _fit_all(picture, assignments(discs, plate, lens), discs, plate, lens)
+    rough = _rough_fits(assignments(discs, plate, lens), discs, plate, lens)
+    limit_px = _rough_limit_px(rough)
+    fitted = _fit_all(picture, rough, limit_px, plate, lens)
     if not fitted or len(fitted[0].markers) < len(plate.centres_mm):
         # Three discs can lie as some three of a mirrored plate do by chance; all of them cannot.
         mirrored = plate.mirrored()
-        reflected = _fit_all(picture, assignments(discs, mirrored, lens), discs, mirrored, lens)
+        rough = _rough_fits(assignments(discs, mirrored, lens), discs, mirrored, lens)
+        reflected = _fit_all(picture, rough, min(limit_px, _rough_limit_px(rough)), mirrored, lens)
         if reflected and (not fitted or len(reflected[0].markers) > len(fitted[0].markers)):
             raise CalibrationError(
                 "The picture is mirrored: the markers lie as if seen in a mirror. Switch off one of the webcam's flips "
@@ -141,7 +145,10 @@ def calibrate_pose_any_colour(image: np.ndarray, lens: Lens, plate: MarkerPlate)
         for saturation_min in (0.6, 0.35):
             colour = HsvThresholds((middle - 20) % 360, (middle + 20) % 360, saturation_min, 0.15)
             try:
-                results.append(calibrate_pose(image, lens, plate, colour))
+                result = calibrate_pose(image, lens, plate, colour)
+                if None not in result.markers_px:
+                    return result
+                results.append(result)
             except CalibrationError as error:
                 if "found by their colour" not in str(error):
                     refusal = error
@@ -158,30 +165,46 @@ def lens_for(image: np.ndarray, lens: Lens) -> Lens:
     return Lens.of(lens.at(np.zeros(3), np.zeros(3)).resized(size_px))
 
 
+@dataclass(frozen=True, eq=False)
+class _Rough:
+    """A guess after the fit to the blobs' contours alone. rms_px : of these, which right guesses have far below wrong ones."""
+
+    contours_px: dict[int, np.ndarray]
+    values: np.ndarray
+    rms_px: float
+
+
+def _rough_fits(guesses: Sequence[Assignment], discs: Sequence[Disc], plate: MarkerPlate, lens: Lens) -> list[_Rough]:
+    """The best first, those with more markers before those with fewer."""
+    rough = []
+    for guess in guesses:
+        values = np.concatenate([guess.camera.rvec, guess.camera.tvec_mm, [0.0, 0.0]])
+        contours = {marker: _thinned(discs[disc].contour_px) for marker, disc in guess.pairs}
+        try:
+            fit = _fit_edges(contours, {}, values, plate, lens, outlier_px=1.5)
+        except CameraError:
+            continue
+        rough.append(_Rough(contours, fit.values, fit.rms))
+    return sorted(rough, key=lambda fit: (-len(fit.contours_px), fit.rms_px))
+
+
 def _fit_all(
-    picture: np.ndarray, guesses: Sequence[Assignment], discs: Sequence[Disc], plate: MarkerPlate, lens: Lens
+    picture: np.ndarray, rough: Sequence[_Rough], limit_px: float, plate: MarkerPlate, lens: Lens
 ) -> list[_Fitted]:
-    """Those guesses that the picture bears out, the best first."""
+    """Those that the picture bears out, the best first; rough fits beyond `limit_px` are not tried."""
     fitted: list[_Fitted] = []
-    for guess in guesses:  # the most markers first: a guess at fewer cannot win any more
-        if fitted and len(guess.pairs) < max(len(fit.markers) for fit in fitted):
+    for guess in rough:  # the most markers first: a guess at fewer cannot win any more
+        if fitted and len(guess.contours_px) < max(len(fit.markers) for fit in fitted):
             break
-        fit = _fit_guess(picture, guess, discs, plate, lens)
+        fit = _fit_guess(picture, guess, plate, lens) if guess.rms_px <= limit_px else None
         fitted += [] if fit is None else [fit]
     return sorted(fitted, key=lambda fit: (-len(fit.markers), fit.rms_px))
 
 
-def _fit_guess(
-    picture: np.ndarray, guess: Assignment, discs: Sequence[Disc], plate: MarkerPlate, lens: Lens
-) -> _Fitted | None:
-    """First to the blobs' contours, then to the edges of the picture itself; None where they do not bear it out."""
-    values = np.concatenate([guess.camera.rvec, guess.camera.tvec_mm, [0.0, 0.0]])
-    contours = {marker: _thinned(discs[disc].contour_px) for marker, disc in guess.pairs}
+def _fit_guess(picture: np.ndarray, guess: _Rough, plate: MarkerPlate, lens: Lens) -> _Fitted | None:
+    """To the edges of the picture itself; None where they do not bear it out."""
+    values, contours = guess.values, guess.contours_px
     try:
-        rough = _fit_edges(contours, {}, values, plate, lens, outlier_px=1.5)
-        if rough.rms > 4.0:
-            return None
-        values = rough.values
         for reach in (0.35, 0.22, 0.22):
             camera = lens.at(values[:3], values[3:6])
             edges, holes = _measure(picture, camera, plate, _raised(values), reach, tuple(contours))
@@ -206,6 +229,12 @@ def _fit_guess(
     if strays.mean() > _STRAY_RATIO or abs(values[6]) > _WORST_OFFSET_PX or camera.centre_mm[2] <= plate.height_mm:
         return None
     return _Fitted(camera, solution, tuple(sorted(edges)))
+
+
+def _rough_limit_px(rough: Sequence[_Rough]) -> float:
+    """Beyond which a guess need not be looked at: far worse than the best one, or hopeless."""
+    best_px = min((fit.rms_px for fit in rough), default=_WORST_ROUGH_PX)
+    return min(_WORST_ROUGH_PX, max(_GOOD_ROUGH_PX, 3 * best_px + 0.5))
 
 
 def _raised(values: np.ndarray) -> float:
