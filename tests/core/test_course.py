@@ -7,10 +7,11 @@ import json
 import pytest
 
 from octoprint_moop.core.decision.compare import Comparison
-from octoprint_moop.core.decision.course import Course, Look
+from octoprint_moop.core.decision.course import Course, Courses, Look
 from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, accept
 from octoprint_moop.core.decision.diagnose import Diagnosis
 from octoprint_moop.core.decision.evidence import WHOLE, Evidence
+from octoprint_moop.core.header import Moment
 
 TOTAL_PX = 20_000
 LIMIT_PX = MATTER_LIMIT_RATIO * TOTAL_PX
@@ -131,3 +132,14 @@ def test_a_look_survives_json():
     assert Look.from_json(json.loads(json.dumps(one.to_json()))) == one
     blind = Look(blind="unusable", reason="black")
     assert Look.from_json(json.loads(json.dumps(blind.to_json()))) == blind
+
+
+def test_right_after_the_camera_was_moved_one_look_is_not_enough():
+    courses, moment = Courses("medium"), Moment("1.jpg", 10, 0, (0.0, 0.0, 0.0))
+    for _ in range(8):
+        courses.rule(look(), moment)
+    courses.rule(Look(blind="camera_moved", reason="It was moved."), moment)
+    verdicts = [courses.rule(one, moment)[1].worst.verdict for one in (look(9.0), look(9.0))]
+    assert verdicts == [SUSPECT, FAILED]
+    courses.rule(Look(blind="unusable", reason="Black."), moment)  # which says nothing of where the camera stands
+    assert courses.rule(look(9.0), moment)[1].worst.verdict == FAILED

@@ -15,6 +15,7 @@ from typing import Any, Callable
 from ..header import Moment
 from .compare import Comparison
 from .decide import (
+    CAMERA_MOVED,
     CONFIRMED,
     DECISIVE,
     FAILED,
@@ -105,6 +106,11 @@ class Course:
         self._sensitivity = sensitivity
         self._state = self._before = _State()
         self._last: tuple[Look, Ruling] | None = None
+        self._shaken = False
+
+    def shaken(self) -> None:
+        """The camera has just moved: the next look may be through it at a place where it does not stand, and only suspects."""
+        self._shaken = True
 
     def rule(self, look: Look, again: bool = False) -> Ruling:
         """What follows from a look in which something could be judged.
@@ -125,6 +131,9 @@ class Course:
             outcomes.append(outcome)
             alarmed |= not quiet
         outcomes = blame(outcomes)
+        if self._shaken:
+            outcomes = [_only_suspect(outcome) for outcome in outcomes]
+        self._shaken = False
         worst = max(outcomes, key=_weight)
         failed = self._state.failed | {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
         errors = self._state.errors
@@ -152,7 +161,7 @@ class Course:
         if self._last is None:
             return None
         look, ruling = self._last
-        outcomes = tuple(replace(one, verdict=SUSPECT) if one.verdict == FAILED else one for one in ruling.outcomes)
+        outcomes = tuple(_only_suspect(one) for one in ruling.outcomes)
         ruling = replace(ruling, outcomes=outcomes, worst=max(outcomes, key=_weight), teaches=False)
         self._state = replace(self._state, failed=self._before.failed)
         self._last = look, ruling
@@ -194,6 +203,8 @@ class Courses:
         file_pos, before = self._judged.get(moment.camera, (None, look))
         again = moment.again and file_pos == moment.file_pos
         if look.blind:
+            if look.blind == CAMERA_MOVED:
+                course.shaken()
             ruling = course.unconfirmed() if again else None
             return (look, None) if ruling is None else (before, ruling)
         ruling = course.rule(look, again)
@@ -221,6 +232,10 @@ def _lesser(one: Evidence, other: Evidence) -> Evidence:
         for (before_px, before_seen_px), (new_px, seen_px) in zip(one.fresh, other.fresh)
     )
     return replace(other, fresh=fresh, **{name: min(getattr(one, name), getattr(other, name)) for name in wrong})
+
+
+def _only_suspect(outcome: Outcome) -> Outcome:
+    return replace(outcome, verdict=SUSPECT) if outcome.verdict == FAILED else outcome
 
 
 def _weight(outcome: Outcome) -> tuple[int, bool, float]:

@@ -26,13 +26,13 @@ import numpy as np
 
 from ..expected.views import Expected, PrintMap, box_about, surroundings
 from . import align
-from .memory import CHANGED, Memory, Window, about, placed, planes, register
+from .memory import Memory, Window, about, placed, planes, register
 
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 FIRST_LAYERS = 2
-BESIDE_PX, ALIKE_RATIO, SHADE_PX = 30, 0.1, 8.0
+ALIKE_RATIO, SHADE_PX = 0.15, 8.0
 SPECK_PX = 6
 HOLLOW_RIM_PX, HOLLOW_LEAST_PX = 1.5, 3
 RIM_PX = 1.0
@@ -40,7 +40,7 @@ REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far 
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
-MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 16.0, 2.5, 12.0  # at up to 640 pixels across
+MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 32.0, 2.5, 12.0  # at up to 640 pixels across
 MOVED_LEFT, PIECE_PX = 0.25, 60
 WHOLE = -1
 
@@ -154,7 +154,9 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     window, before = findings.window, memory.alignment
     finer = sight.finer
     reach_px = int(MOVED_REACH_PX * finer)
-    found = register(window, findings.wanted, sight.observed, sight.ignored, reach_px)
+    # what shines like filament where the head may be says little of the print, but enough of where all of it is
+    ignored = sight.ignored & cv2.bitwise_not(sight.expected.head & sight.observed)
+    found = register(window, findings.wanted, sight.observed, ignored, reach_px)
     if found is None:
         return None
     points = np.argwhere(findings.wanted)[::17, ::-1] + [window[1].start, window[0].start]
@@ -234,32 +236,30 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
-    lost = _unlike_matter_beside(lost, observed & wanted, look, memory.bare(window))
+    alike = _could_be_matter(lost | unseen | barren, observed & wanted & ~unchanged, look, memory.bare(window))
+    lost, unseen, barren = lost & ~alike, unseen & ~alike, barren & ~alike
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
     )
     return Findings(window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, scopes)
 
 
-def _unlike_matter_beside(lost: np.ndarray, matter: np.ndarray, look: np.ndarray, bare: np.ndarray) -> np.ndarray:
-    """The lost spots without those where matter that still stands beside looks like the bed under the spot.
+def _could_be_matter(where: np.ndarray, matter: np.ndarray, look: np.ndarray, bare: np.ndarray) -> np.ndarray:
+    """bool: of the pixels `where`, those under which the bed looks as a good part of the matter that is seen does.
 
-    A side wall that has the bed's own shade comes into view as a print grows; whether it is gone cannot be seen.
+    Whether filament of the bed's own shade has come or is gone cannot be seen: a side wall that comes into view as a
+    print grows may look just like it. Looks are counted in steps of 16 grey levels, with the neighbouring steps.
     """
-    if not lost.any():
-        return lost
-    told = lost.copy()
-    labels, areas_px = _spots(lost)
-    for spot in range(1, len(areas_px)):
-        own = labels == spot
-        beside = cv2.dilate(own.view(np.uint8), disc(BESIDE_PX)).view(bool) & matter
-        if not beside.any():
-            continue
-        bed = np.array([np.median(plane[own]) for plane in bare])
-        apart = np.max([np.abs(plane[beside] - level) for plane, level in zip(look.astype(np.float32), bed)], axis=0)
-        if np.mean(apart < CHANGED) > ALIKE_RATIO:
-            told &= ~own
-    return told
+    few, lies = about(where), about(matter)
+    if not where.any() or not matter.any():
+        return np.zeros_like(where)
+    blue, green, red = (plane[lies][matter[lies]] >> 4 for plane in look)
+    counts = np.bincount((blue.astype(np.intp) * 16 + green) * 16 + red, minlength=4096).astype(np.float32)
+    padded = np.pad(counts.reshape(16, 16, 16), 1)
+    steps = range(3)
+    near = sum(padded[i : i + 16, j : j + 16, k : k + 16] for i in steps for j in steps for k in steps)
+    blue, green, red = (plane[few] >> 4 for plane in bare)
+    return placed(where, few, near[blue, green, red] > ALIKE_RATIO * np.count_nonzero(matter))
 
 
 def _hidden_px(
