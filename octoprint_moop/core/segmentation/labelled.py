@@ -10,13 +10,12 @@ import numpy as np
 
 from ..errors import SegmentationError
 from ..view.light import Light
-from .appearance import ColourModel, count_colours, evidence, opponent
+from .appearance import ColourModel, count_colours, opponent
+from .clicks import label_from_clicks
 from .segment import Observation
 from .weigh import Look, look_of_label, weigh
 
 LOOK_ALIKE = 0.6  # separability below which the user is told that filament and bed look alike
-_CLICK_SIDE_PX, _SPOT_PX = 320, 4  # the size at which a clicked picture is cut, and what is taken about a click
-_WORLD, _CLICK_PX = 0.3, 10_000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,69 +112,11 @@ def learn_from_clicks(
     background_px: Sequence[tuple[int, int]],
     region: tuple[int, int, int, int] | None = None,
 ) -> LearnedFilament:
-    """What a few points clicked on filament and on background teach: the clicked print is cut out (GrabCut, Rother et
-    al. 2004, once, at reduced size), then learned from as if it had been labelled.
+    """What a few points clicked on filament and on background teach: the clicked print is cut out (clicks.py), then
+    learned from as if it had been labelled.
 
     filament_px, background_px : (x, y) in the frame, at least one each
     Raises SegmentationError where points are missing or outside of the frame or region.
     """
     label = label_from_clicks(frame_bgr, filament_px, background_px, region)
     return learn_from_label(frame_bgr, label, region)
-
-
-def label_from_clicks(
-    frame_bgr: np.ndarray,
-    filament_px: Sequence[tuple[int, int]],
-    background_px: Sequence[tuple[int, int]],
-    region: tuple[int, int, int, int] | None = None,
-) -> np.ndarray:
-    """(H, W) uint8, 255 on what the clicks point out as filament. Errors as in `learn_from_clicks`."""
-    height, width = frame_bgr.shape[:2]
-    x0, y0, x1, y1 = region or (0, 0, width, height)
-    for what, points in (("filament", filament_px), ("background", background_px)):
-        if not len(points):
-            raise SegmentationError(f"No point on {what} was clicked. Click at least one, better three.")
-        for x, y in points:
-            if not (x0 <= x < x1 and y0 <= y < y1):
-                raise SegmentationError(f"The point {(x, y)} on {what} lies outside of the picture. Click it again.")
-    crop = frame_bgr[y0:y1, x0:x1]
-    scale = min(1.0, _CLICK_SIDE_PX / max(crop.shape[:2]))
-    small = cv2.resize(crop, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    colours = opponent(cv2.medianBlur(small, 3))
-    spots = []
-    for points in (filament_px, background_px):
-        spot = np.zeros(small.shape[:2], np.uint8)
-        for x, y in points:
-            centre = (int((x - x0) * scale), int((y - y0) * scale))
-            cv2.circle(spot, centre, _SPOT_PX, 255, cv2.FILLED)
-        spots.append(spot)
-    on, off = (_spread(count_colours(colours, spot > 0)) for spot in spots)
-    # what is unlike either is background more often than not: most of a picture is
-    world = count_colours(colours, np.ones(colours.shape[:2], bool))
-    off = (1 - _WORLD) * off / off.sum() + _WORLD * world / world.sum()
-    seen = cv2.blur(evidence(colours, ColourModel(_CLICK_PX * on / on.sum(), _CLICK_PX * off)), (5, 5))
-    # nearness to the clicks decides where colour does not, and a print is not far from where it was clicked
-    to_on, to_off = (cv2.distanceTransform(cv2.bitwise_not(spot), cv2.DIST_L2, 3) for spot in spots)
-    rows, columns = np.nonzero(spots[0])
-    reach_px = max(int(np.ptp(rows)), int(np.ptp(columns)), 20)
-    seen = seen + 2 * (to_off - to_on) / (to_on + to_off + 1) - 2 * np.clip(to_on / reach_px - 0.3, 0, 1)
-    trimap = np.where(seen > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    trimap[spots[1] > 0], trimap[spots[0] > 0] = cv2.GC_BGD, cv2.GC_FGD
-    cv2.setRNGSeed(0)  # GrabCut's k-means draws from OpenCV's one generator: the same clicks, the same answer
-    cv2.grabCut(small, trimap, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 1, cv2.GC_INIT_WITH_MASK)
-    cut = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
-    label = np.zeros((height, width), np.uint8)
-    cut = cut.astype(np.uint8) * np.uint8(255)
-    label[y0:y1, x0:x1] = cv2.resize(cut, crop.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    return label
-
-
-def _spread(counts: np.ndarray) -> np.ndarray:
-    """Counts of a few pixels, with a little of every colour near them."""
-    side = round(len(counts) ** (1 / 3))
-    cube: np.ndarray = counts.astype(np.float32).reshape(side, side, side)
-    for axis in range(3):
-        turned = np.moveaxis(cube, axis, 0).reshape(side, -1)
-        blurred = cv2.GaussianBlur(turned, (1, 13), sigmaX=1, sigmaY=2.0)
-        cube = np.moveaxis(blurred.reshape(side, side, side), 0, axis)
-    return np.ascontiguousarray(cube).reshape(-1).astype(np.float64)
