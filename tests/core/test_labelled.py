@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.errors import SegmentationError
+from octoprint_moop.core.segmentation.clicks import label_from_clicks
 from octoprint_moop.core.segmentation.labelled import LOOK_ALIKE, learn_from_clicks, learn_from_label
 
 BED, FILAMENT = (60, 58, 62), (40, 120, 235)
@@ -132,6 +133,27 @@ def test_three_clicks_each_teach_as_much_as_a_label_where_colours_differ():
     learned = learn_from_clicks(frame, [(70, 80), (90, 100), (105, 90)], [(20, 20), (20, 90), (140, 80)])
     later, truth = scene(60, seed=4)
     assert iou(learned.segment(later).mask, truth) > 0.9
+
+
+def shaded() -> tuple[np.ndarray, np.ndarray]:
+    """A white print, its left side in shade, on a bed as bright as that shade, before a wall brighter than all of it."""
+    rng = np.random.default_rng(6)
+    frame, mask = np.full((240, 320), 150.0), np.zeros((240, 320), np.uint8)
+    frame[:150] = 250
+    mask[60:190, 120:220] = 255
+    frame[60:190, 120:220] = np.linspace(110, 215, 100)
+    frame = cv2.GaussianBlur(frame, (0, 0), 1) + rng.normal(0, 3, frame.shape)
+    return cv2.cvtColor(np.clip(frame, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR), mask
+
+
+@pytest.mark.parametrize("region", [None, (90, 40, 260, 220)])
+@pytest.mark.parametrize(
+    "filament", [[(125, 180), (130, 70), (214, 130)], [(140, 70), (170, 120), (200, 180)], [(205, 80), (150, 180)]]
+)
+def test_a_clicked_print_is_cut_out_with_the_shades_that_nobody_clicked(region, filament):
+    """No colour parts them: the bed's brightness lies in the middle of the print's."""
+    frame, truth = shaded()
+    assert iou(label_from_clicks(frame, filament, [(100, 60), (250, 100), (240, 210)], region), truth) > 0.85
 
 
 def test_clicks_outside_of_the_picture_are_refused():
