@@ -12,7 +12,8 @@ from ..core.camera import Camera
 from ..core.errors import FrameError, SegmentationError
 from ..core.gcode.read import read_gcode
 from ..core.inspection import Inspector
-from ..core.segmentation.labelled import LOOK_ALIKE, LearnedFilament, learn_from_label
+from ..core.segmentation.clicks import Region
+from ..core.segmentation.labelled import LOOK_ALIKE, LearnedFilament, learn_from_clicks, learn_from_label
 from ..machine.recording import Recording, read_frame
 from ..machine.renderers import open_renderer
 from .mask import write_png
@@ -20,11 +21,25 @@ from .mask import write_png
 PATH = click.Path(path_type=Path)
 
 
-@click.command()
+class _WithManyMasks(click.Command):
+    """Takes `--expected A.png B.png` for `--expected A.png --expected B.png` where images were named before."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args.count("--expected") == 1 and not args[0].startswith("-"):
+            first = args.index("--expected") + 1
+            last = next((i for i in range(first, len(args)) if args[i].startswith("-")), len(args))
+            masks = [word for mask in args[first:last] for word in ("--expected", mask)]
+            args = [*args[: first - 1], *(masks or ["--expected"]), *args[last:]]
+        return super().parse_args(ctx, args)
+
+
+@click.command(cls=_WithManyMasks)
 @click.argument("images", nargs=-1, required=True, type=PATH, metavar="RECORDING | IMAGE…")
 @click.option("--frame", help="A frame of the RECORDING, e.g. frames/000012.jpg.")
 @click.option("--distorted", is_flag=True, help="RECORDING: in the frame's own pixels, lens distortion included.")
-@click.option("--learn", metavar="FRAME=MASK", help="IMAGE…: a frame of the same print, and its mask.")
+@click.option("--learn", metavar="FRAME[=MASK]", help="IMAGE…: a frame of the same print, and its mask.")
+@click.option("--filament", multiple=True, metavar="X,Y", help="IMAGE…, no MASK: a point of FRAME on filament.")
+@click.option("--background", multiple=True, metavar="X,Y", help="IMAGE…, no MASK: a point of FRAME beside it.")
 @click.option("--box", metavar="X0,Y0,X1,Y1", help="IMAGE…: look only at this part of the pictures, in pixels.")
 @click.option("--expected", multiple=True, type=PATH, help="IMAGE…: what should be there, one mask an image, in order.")
 @click.option("-o", "out", required=True, type=PATH, help="RECORDING: the PNG; IMAGE…: the folder for the masks.")
@@ -33,6 +48,8 @@ def segment(
     frame: str | None,
     distorted: bool,
     learn: str | None,
+    filament: tuple[str, ...],
+    background: tuple[str, ...],
     box: str | None,
     expected: tuple[Path, ...],
     out: Path,
@@ -42,18 +59,24 @@ def segment(
     RECORDING with --frame: what the live plugin would have seen in that frame, after all frames before it.
 
     IMAGE… with --learn: learns from the one labelled frame and segments each image by itself, no camera or G-code
-    needed. Writes OUT/<image's stem>.png.
+    needed. Writes OUT/<image's stem>.png. Instead of a mask a few points will do, three on filament and three beside
+    it: --learn FRAME --filament X,Y --filament X,Y … --background X,Y …
     """
     if (frame is None) == (learn is None):
         raise click.UsageError("Name a frame of a recording (--frame), or a labelled frame for images (--learn).")
     if frame is not None:
-        if len(images) > 1 or box or expected:
-            raise click.UsageError("--frame wants one RECORDING, without --box and --expected.")
+        if len(images) > 1 or box or expected or filament or background:
+            raise click.UsageError("--frame wants one RECORDING, and none of the options for images.")
         _segment_recording(images[0], frame, distorted, out)
     elif learn is not None:
         if distorted:
             raise click.UsageError("--distorted is for a RECORDING: images are never undistorted.")
-        _segment_images(images, learn, _region(box), expected, out)
+        region = _region(box)
+        if filament or background:
+            learned = _learn_from_points(learn, filament, background, region)
+        else:
+            learned = _learn(learn, region)
+        _segment_images(images, learned, expected, out)
 
 
 def _segment_recording(folder: Path, frame: str, distorted: bool, out: Path) -> None:
@@ -84,8 +107,7 @@ def _undistorted(mask: np.ndarray, camera: Camera) -> np.ndarray:
 
 def _segment_images(
     images: tuple[Path, ...],
-    learn: str,
-    region: tuple[int, int, int, int] | None,
+    learned: LearnedFilament,
     expected: tuple[Path, ...],
     out: Path,
 ) -> None:
@@ -93,7 +115,12 @@ def _segment_images(
         raise click.UsageError(f"{len(images)} images need as many masks with --expected, not {len(expected)}.")
     if len({image.stem for image in images}) < len(images):
         raise click.UsageError("Two images have one name, so that one mask would replace the other. Do them apart.")
-    learned = _learn(learn, region)
+    if learned.separability < LOOK_ALIKE:
+        click.echo(
+            f"moop: filament and background look alike here ({100 * learned.separability:.0f} % of them can be told "
+            "apart by colour): more light or another bed colour would help.",
+            err=True,
+        )
     out.mkdir(parents=True, exist_ok=True)
     for number, image in enumerate(images):
         try:
@@ -103,21 +130,26 @@ def _segment_images(
         write_png(out / f"{image.stem}.png", seen.mask)
 
 
-def _learn(pair: str, region: tuple[int, int, int, int] | None) -> LearnedFilament:
+def _learn(pair: str, region: Region | None) -> LearnedFilament:
     frame, found, mask = pair.partition("=")
     if not found or not frame or not mask:
-        raise click.UsageError(f"--learn {pair!r}: two files are needed, FRAME.jpg=MASK.png.")
+        raise click.UsageError(
+            f"--learn {pair!r}: two files are needed, FRAME.jpg=MASK.png, or points with --filament and --background."
+        )
     try:
-        learned = learn_from_label(read_frame(Path(frame)), _read_mask(Path(mask)), region)
+        return learn_from_label(read_frame(Path(frame)), _read_mask(Path(mask)), region)
     except SegmentationError as error:
         raise SegmentationError(f"{mask}: {error}") from None
-    if learned.separability < LOOK_ALIKE:
-        click.echo(
-            f"moop: filament and background look alike here ({100 * learned.separability:.0f} % of them can be told "
-            "apart by colour): more light or another bed colour would help.",
-            err=True,
-        )
-    return learned
+
+
+def _learn_from_points(
+    frame: str, filament: tuple[str, ...], background: tuple[str, ...], region: Region | None
+) -> LearnedFilament:
+    on, off = ([_point(text) for text in points] for points in (filament, background))
+    try:
+        return learn_from_clicks(read_frame(Path(frame)), on, off, region)
+    except SegmentationError as error:
+        raise SegmentationError(f"{frame}: {error}") from None
 
 
 def _read_mask(path: Path) -> np.ndarray:
@@ -126,7 +158,7 @@ def _read_mask(path: Path) -> np.ndarray:
     return np.where(grey > int(grey.max()) // 2, np.uint8(255), np.uint8(0))
 
 
-def _region(text: str | None) -> tuple[int, int, int, int] | None:
+def _region(text: str | None) -> Region | None:
     if text is None:
         return None
     try:
@@ -134,3 +166,11 @@ def _region(text: str | None) -> tuple[int, int, int, int] | None:
     except (ValueError, OverflowError):
         raise click.UsageError(f"--box {text!r}: four numbers are needed, X0,Y0,X1,Y1 in pixels.") from None
     return (x0, y0, x1, y1)
+
+
+def _point(text: str) -> tuple[int, int]:
+    try:
+        x, y = (round(float(part)) for part in text.split(","))
+    except (ValueError, OverflowError):
+        raise click.UsageError(f"The point {text!r}: two numbers are needed, X,Y in pixels.") from None
+    return (x, y)

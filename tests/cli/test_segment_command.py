@@ -53,6 +53,36 @@ def test_the_expected_masks_are_taken_in_order_and_do_not_win_over_the_picture(p
     assert seen[55:65, 65:105].all() and not seen[:45].any()
 
 
+def test_the_expected_masks_may_follow_one_option(pictures):
+    result = run(
+        pictures / "later.jpg", pictures / "learn.jpg", "--learn", learned(pictures),
+        "--expected", pictures / "later.png", pictures / "learn.png", "-o", pictures / "out",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert {path.name for path in (pictures / "out").iterdir()} == {"later.png", "learn.png"}
+
+
+def test_a_few_points_do_instead_of_a_mask(pictures):
+    points = ["--filament", "65,75", "--filament", "100,100", "--filament", "80,90"]
+    beside = ["--background", "20,20", "--background", "140,80", "--background", "30,112"]
+    result = run(pictures / "later.jpg", "--learn", pictures / "learn.jpg", *points, *beside, "-o", pictures / "out")
+    assert result.exit_code == 0, result.stderr
+    seen = cv2.imread(str(pictures / "out" / "later.png"), cv2.IMREAD_UNCHANGED)
+    truth = cv2.imread(str(pictures / "later.png"), cv2.IMREAD_UNCHANGED)
+    assert np.count_nonzero((seen > 0) != (truth > 0)) < 0.05 * np.count_nonzero(truth)
+
+
+def test_pictures_without_colour_are_segmented(pictures):
+    for name in ("learn", "later"):
+        grey = cv2.imread(str(pictures / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(pictures / f"{name}.jpg"), grey)
+    result = run(pictures / "later.jpg", "--learn", learned(pictures), "-o", pictures / "out")
+    assert result.exit_code == 0, result.stderr
+    seen = cv2.imread(str(pictures / "out" / "later.png"), cv2.IMREAD_UNCHANGED)
+    truth = cv2.imread(str(pictures / "later.png"), cv2.IMREAD_UNCHANGED)
+    assert np.count_nonzero((seen > 0) != (truth > 0)) < 0.05 * np.count_nonzero(truth)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -62,6 +92,9 @@ def test_the_expected_masks_are_taken_in_order_and_do_not_win_over_the_picture(p
         (["--learn", "learn.jpg=learn.png", "--box", "900,900,950,950"], "outside"),
         (["--learn", "learn.jpg=learn.png", "--expected", "learn.png", "--expected", "learn.png"], "1 images need"),
         (["--learn", "nothing.jpg=learn.png"], "nothing.jpg"),
+        (["--learn", "learn.jpg", "--filament", "70,80"], "background"),
+        (["--learn", "learn.jpg", "--filament", "70,80", "--background", "900,3"], "outside"),
+        (["--learn", "learn.jpg", "--filament", "70", "--background", "9,3"], "X,Y"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_sentence_and_the_status_is_2(pictures, monkeypatch, words, sentence):
