@@ -8,18 +8,24 @@ masks grown by 10 px. Nothing is tuned per print; the expected masks are made fr
 
 CASES (default ../shared/cases) holds recordings with frames/NNNNNN.mask.png: there the live segmenter walks through the
 whole print, with the expected masks of its G-code and, once without, once with the recording's thresholds.
+
+segmentation_heldout.py asks what the constants owe to these prints; segmentation_table.py makes the tables of the docs.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import platform
 import re
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Callable
 
@@ -38,6 +44,8 @@ from octoprint_moop.machine.renderers import open_renderer
 
 LABELLED = 5
 MARGIN_PX = 10
+GALLERY_PX = 360
+PRINTS = Path(__file__).resolve().parents[2] / "shared" / "data" / "real-frames"
 COLOURS = ("black", "white", "grey", "blue", "green", "pink", "red", "yellow", "brown", "orange")
 
 
@@ -112,84 +120,106 @@ EXPECTATIONS: dict[str, Callable] = {
 }  # fmt: skip
 
 
-def clicks(mask: np.ndarray, box: tuple[int, int, int, int]) -> tuple[list, list]:
-    """Three points on filament and three on background, by a rule: the pixel farthest from the mask's edge, then the
-    farthest that is also far from the points before. Background: within the box."""
+Points = list[tuple[int, int]]
 
-    def three(where: np.ndarray) -> list[tuple[int, int]]:
-        depth = cv2.distanceTransform(cv2.copyMakeBorder(where, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 5)
-        depth = depth[1:-1, 1:-1]
-        rows, columns = np.mgrid[: where.shape[0], : where.shape[1]]
-        points: list[tuple[int, int]] = []
-        for _ in range(3):
-            score = depth.copy()
-            for x, y in points:
-                score = np.minimum(score, np.hypot(columns - x, rows - y) / 2)
-            row, column = np.unravel_index(score.argmax(), score.shape)
-            points.append((int(column), int(row)))
-        return points
 
+def farthest(where: np.ndarray) -> Points:
+    """The pixel farthest from the edge, then twice the farthest that is also far from the points before."""
+    depth = cv2.distanceTransform(cv2.copyMakeBorder(where, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 5)
+    depth = depth[1:-1, 1:-1]
+    rows, columns = np.mgrid[: where.shape[0], : where.shape[1]]
+    points: Points = []
+    for _ in range(3):
+        score = depth.copy()
+        for x, y in points:
+            score = np.minimum(score, np.hypot(columns - x, rows - y) / 2)
+        row, column = np.unravel_index(score.argmax(), score.shape)
+        points.append((int(column), int(row)))
+    return points
+
+
+def quartiles(where: np.ndarray) -> Points:
+    """At a quarter, a half and three quarters of the pixels in reading order."""
+    rows, columns = np.nonzero(where)
+    return [(int(columns[len(rows) * q // 4]), int(rows[len(rows) * q // 4])) for q in (1, 2, 3)]
+
+
+def at_random(where: np.ndarray, seed: int) -> Points:
+    rows, columns = np.nonzero(where)
+    chosen = np.random.default_rng(seed).choice(len(rows), 3, replace=False)
+    return [(int(columns[i]), int(rows[i])) for i in chosen]
+
+
+def at_the_edge(where: np.ndarray) -> Points:
+    """At random among the pixels 2 to 5 px from the edge."""
+    inner, core = (cv2.erode(where, np.ones((side, side), np.uint8)) for side in (3, 11))
+    band = cv2.subtract(inner, core)
+    return at_random(band if cv2.countNonZero(band) >= 3 else where, 0)
+
+
+CLICKS: dict[str, Callable[[np.ndarray], Points]] = {
+    "three clicks each": farthest, "at quartiles": quartiles, "at the edge": at_the_edge,
+    **{f"at random, seed {seed}": partial(at_random, seed=seed) for seed in range(3)},
+}  # fmt: skip
+
+
+def clicks(mask: np.ndarray, box: tuple[int, int, int, int], rule: Callable[[np.ndarray], Points]) -> list[Points]:
+    """Three points on filament and three on background, the latter within the box, by a rule."""
     x0, y0, x1, y1 = box
     crop = mask[y0:y1, x0:x1]
-    on, off = three(crop), three(cv2.bitwise_not(crop))
-    return [(x + x0, y + y0) for x, y in on], [(x + x0, y + y0) for x, y in off]
+    return [[(x + x0, y + y0) for x, y in rule(where)] for where in (crop, cv2.bitwise_not(crop))]
+
+
+def without_colour(frame: np.ndarray) -> np.ndarray:
+    """As a monochrome camera would have seen it. Infrared also changes how bright each filament is; this does not."""
+    return cv2.cvtColor(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
 
 
 class Figures:
-    def __init__(self) -> None:
-        self.rows: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-        self.nearer: dict[str, list[bool]] = defaultdict(list)
-        self.frames: list[tuple[str, str, int, float]] = []
+    """Intersection over union by print and by what was asked; and whether what was seen is nearer to the truth."""
 
-    def add(self, what: str, one: Print, index: int, value: float) -> None:
-        self.rows[what]["all"].append(value)
-        self.rows[what][one.colour].append(value)
-        self.frames.append((what, one.name, index, value))
+    def __init__(self) -> None:
+        self.iou: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+        self.nearer: dict[str, dict[str, list[bool]]] = defaultdict(lambda: defaultdict(list))
+        self.colours: dict[str, str] = {}
+
+    def add(self, what: str, one: Print, value: float) -> None:
+        self.colours[one.name] = one.colour
+        self.iou[one.name][what].append(round(value, 3))
 
     def as_dict(self) -> dict:
-        return {
-            "photographed": True,
-            "median_iou": {w: {c: round(float(np.median(v)), 3) for c, v in r.items()} for w, r in self.rows.items()},
-            "nearer_to_truth": {what: round(float(np.mean(v)), 3) for what, v in self.nearer.items()},
-            "prints": self.by_print(),
-        }
-
-    def by_print(self) -> dict:
-        table: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-        for what, name, _, value in self.frames:
-            table[name][what].append(round(value, 3))
-        return table
-
-    def table(self) -> str:
-        colours = ["all"] + [c for c in COLOURS if any(c in r for r in self.rows.values())]
-        lines = [
-            "| median IoU | " + " | ".join(colours) + " | nearer to the truth |",
-            "|---" * (len(colours) + 2) + "|",
-        ]
-        for what, row in self.rows.items():
-            cells = [f"{np.median(row[c]):.2f}" if row[c] else "" for c in colours]
-            nearer = f"{100 * np.mean(self.nearer[what]):.1f} %" if what in self.nearer else ""
-            lines.append(f"| {what} | " + " | ".join(cells) + f" | {nearer} |")
-        return "\n".join(lines)
+        return {"colours": self.colours, "iou": self.iou, "nearer_to_truth": self.nearer}
 
 
-def measure(one: Print, figures: Figures, number: int) -> None:
-    learned = learn_from_label(one.frames[LABELLED], one.masks[LABELLED], one.box)
-    band = thresholds_of(one.frames[LABELLED], one.masks[LABELLED])
-    on, off = clicks(one.masks[LABELLED], one.box)
-    clicked = learn_from_clicks(one.frames[LABELLED], on, off, one.box)
+def measure(one: Print, figures: Figures, number: int, others: bool = True) -> None:
+    """others : the thresholds, other ways of clicking, and cameras without colour too"""
+    frame, label = one.frames[LABELLED], one.masks[LABELLED]
+    learned = learn_from_label(frame, label, one.box)
+    clicked = {name: learn_from_clicks(frame, *clicks(label, one.box, rule), one.box) for name, rule in CLICKS.items()}
+    if others:
+        clicked["no box given"] = learn_from_clicks(frame, *clicks(label, one.box, farthest))
+    grey = learn_from_label(without_colour(frame), label, one.box)
+    band = thresholds_of(frame, label)
     for i in one.others():
         frame, truth = one.frames[i], one.masks[i]
-        figures.add("thresholds alone", one, i, iou(segment_hsv(frame, band), truth, one.box))
-        figures.add("colour alone", one, i, iou(learned.segment(frame).mask, truth, one.box))
-        figures.add("three clicks each", one, i, iou(clicked.segment(frame).mask, truth, one.box))
+
+        def add(what: str, seen: np.ndarray) -> None:
+            figures.add(what, one, iou(seen, truth, one.box))
+
+        if others:
+            add("thresholds alone", segment_hsv(frame, band))
+            add("no colour", grey.segment(without_colour(frame)).mask)
+        add("colour alone", learned.segment(frame).mask)
+        for name, model in clicked.items():
+            add(name, model.segment(frame).mask)
         for what, expectation in EXPECTATIONS.items():
-            rng = np.random.default_rng([number, i])
-            expected = expectation(truth, rng)
+            expected = expectation(truth, np.random.default_rng([number, i]))
             seen = learned.segment(frame, expected).mask
-            figures.add(what, one, i, iou(seen, truth, one.box))
+            add(what, seen)
+            if others:
+                add(f"no colour, {what}", grey.segment(without_colour(frame), expected).mask)
             if what != "nearly right":
-                figures.nearer[what].append(iou(seen, truth) > iou(seen, expected))
+                figures.nearer[one.name][what].append(bool(iou(seen, truth) > iou(seen, expected)))
 
 
 def cost(one: Print, repeats: int = 15) -> dict[str, float]:
@@ -251,54 +281,76 @@ def measure_case(folder: Path) -> dict[str, float]:
 
 
 def draw_worst(figures: Figures, prints: dict[str, Print], folder: Path, count: int = 10) -> None:
-    """The worst frames by colour alone, the box enlarged: green what is there, red what was seen."""
+    """The worst frames by colour alone, the box enlarged: as it is, and with green what is there, red what was seen."""
     folder.mkdir(parents=True, exist_ok=True)
-    ranked = sorted((found for found in figures.frames if found[0] == "colour alone"), key=lambda found: found[3])
-    for number, (_, name, index, value) in enumerate(ranked[:count], 1):
+    ranked = sorted(
+        (value, name, index)
+        for name, rows in figures.iou.items()
+        for value, index in zip(rows["colour alone"], prints[name].others())
+    )
+    for number, (value, name, index) in enumerate(ranked[:count], 1):
         one = prints[name]
         seen = learn_from_label(one.frames[LABELLED], one.masks[LABELLED], one.box).segment(one.frames[index]).mask
-        x0, y0, x1, y1 = one.box
+        x0, y0, x1, y1 = _about(one.masks[index], one.box)
         plain = one.frames[index][y0:y1, x0:x1]
+        scale = GALLERY_PX / max(plain.shape[:2])
+        plain = cv2.resize(plain, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         drawn = plain.copy()
         for mask, colour in ((one.masks[index], (0, 255, 0)), (seen, (0, 0, 255))):
-            edges, _ = cv2.findContours(mask[y0:y1, x0:x1], cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+            large = cv2.resize(mask[y0:y1, x0:x1], plain.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+            edges, _ = cv2.findContours(large, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
             cv2.drawContours(drawn, edges, -1, colour, 1)
-        pair = cv2.resize(np.hstack([plain, drawn]), None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-        cv2.imwrite(str(folder / f"{number:02d}.png"), pair)
-        print(f"{number:2d}. IoU {value:.2f}, {name}, frame {index + 1} of {len(one.files)}")
+        pair = np.hstack([plain, np.full((plain.shape[0], 4, 3), 255, np.uint8), drawn])
+        cv2.imwrite(str(folder / f"segmentation-worst-{number:02d}.jpg"), pair, [cv2.IMWRITE_JPEG_QUALITY, 80])
+        print(f"{number:2d}. IoU {value:.2f}, {one.colour}, frame {index + 1} of {len(one.files)}, {name}")
+
+
+def _about(mask: np.ndarray, box: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The mask with some of what is around it, within the box."""
+    x, y, w, h = cv2.boundingRect(mask)
+    margin = max(w // 3, 40)
+    x0, y0, x1, y1 = box
+    return max(x - margin, x0), max(y - margin, y0), min(x + w + margin, x1), min(y + h + margin, y1)
+
+
+def machine() -> dict[str, str | int | None]:
+    return {
+        "date": date.today().isoformat(), "processor": platform.machine(), "cores": os.cpu_count(),
+        "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
+    }  # fmt: skip
+
+
+def read_prints(folder: Path) -> list[Print]:
+    return [Print.read(path) for path in sorted(path for path in folder.iterdir() if path.is_dir())]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data" / "real-frames"
-    parser.add_argument("--prints", type=Path, default=beside)
-    parser.add_argument("--cases", type=Path, default=beside.parents[1] / "cases")
+    parser.add_argument("--prints", type=Path, default=PRINTS)
+    parser.add_argument("--cases", type=Path, default=PRINTS.parents[1] / "cases")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--gallery", type=Path, help="draw the ten worst frames by colour alone here, and name them")
     arguments = parser.parse_args()
-    cv2.setRNGSeed(1)
-    figures, costs = Figures(), defaultdict(list)
-    prints = [Print.read(folder) for folder in sorted(path for path in arguments.prints.iterdir() if path.is_dir())]
+    figures, costs, cases = Figures(), defaultdict(list), {}
+    prints = read_prints(arguments.prints)
     for number, one in enumerate(prints):
         measure(one, figures, number)
         for case, ratio in cost(one).items():
             costs[case].append(ratio)
-    print(figures.table())
-    ratios = {case: float(np.median(values)) for case, values in costs.items()}
-    print("\n| cost, x imdecode (p50) | |\n|---|---|")
-    for case, ratio in ratios.items():
-        print(f"| {case} | {ratio:.1f} |")
-    cases = {}
-    print("\n| rendered, median IoU | thresholds alone | adaptive | adaptive, thresholds given |\n|---|---|---|---|")
+        print(one.name, {what: round(float(np.median(values)), 2) for what, values in figures.iou[one.name].items()})
     for folder in sorted(path for path in arguments.cases.iterdir() if (path / "truth.json").is_file()):
         cases[folder.name] = measure_case(folder)
-        print(f"| {folder.name} | " + " | ".join(f"{value:.2f}" for value in cases[folder.name].values()) + " |")
+        print(folder.name, cases[folder.name])
     if arguments.gallery:
         draw_worst(figures, {one.name: one for one in prints}, arguments.gallery)
     if arguments.json:
-        arguments.json.write_text(
-            json.dumps({**figures.as_dict(), "cost_ratio_p50": ratios, "rendered_median_iou": cases}, indent=1)
-        )
+        results = {
+            "machine": machine(),
+            "photographed": figures.as_dict(),
+            "cost_ratio_p50": {case: float(np.median(values)) for case, values in costs.items()},
+            "rendered_median_iou": cases,
+        }
+        arguments.json.write_text(json.dumps(results, separators=(",", ":")) + "\n")
 
 
 if __name__ == "__main__":
