@@ -39,6 +39,8 @@ def finer(width_px: int) -> int:
 
 def shrunk(picture: np.ndarray, step: int) -> np.ndarray:
     """A picture (H, W, ...) at 1/step of its size, each pixel the mean of those that it stands for."""
+    while step % 2 == 0 and step > 2:  # OpenCV halves a picture many times faster than it does anything else to its size
+        picture, step = shrunk(picture, 2), step // 2
     if step == 1:
         return picture
     size_px = max(picture.shape[1] // step, 1), max(picture.shape[0] // step, 1)

@@ -142,7 +142,7 @@ class Stabiliser:
         stands = (
             misfit < LESS_WELL * min(well, MOST_MISFIT)
             and step is not None
-            and float(np.linalg.norm(step)) * self._camera.K[0, 0] < NOTICEABLE_PX
+            and float(np.linalg.norm(step)) * self._camera.K[0, 0] < NOTICEABLE_PX * self._finer
         )
         if stands:
             self._fits = {last: min(well, misfit)}
