@@ -18,13 +18,14 @@ from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, 
 from .decision.diagnose import Diagnosis, diagnose
 from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
 from .errors import FrameError, SegmentationError
-from .expected.views import Expected, MaskRenderer
+from .expected.views import Expected, MaskRenderer, box_about
 from .head import HeadModel
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
-from .view.view import MOVED_PX, SteadyFrame, View, moved_sentence
+from .view.view import MOVED_PX, View, moved_sentence
 
+NEAR_PX = 16  # how far about all that is expected and seen edges are looked for, and a little more
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN = "Something stands in the view: a hand, or a tool?"
@@ -101,19 +102,6 @@ class Pictures:
     observed: np.ndarray
     expected: np.ndarray
     ignored: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _Masks:
-    """What was compared: the window's masks in the picture's own size, (h, w) uint8, 0 or 255."""
-
-    observed: np.ndarray
-    expected: np.ndarray
-    ignored: np.ndarray
-
-    def pictures(self, steady: SteadyFrame) -> Pictures:
-        place = steady.window.placed
-        return Pictures(steady.picture(), place(self.observed), place(self.expected), place(self.ignored))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +208,17 @@ class Inspector:
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
         doubtful = expected.head & cv2.bitwise_not(observed & expected.mask)
         ignored = steady.outside | window.from_small(hidden) | doubtful | seen.unsure | expected.ignored
-        masks = _Masks(window.enlarged(observed), steady.sharp.mask, window.enlarged(ignored))
-        comparison = compare(masks.expected, masks.observed, steady.sharp.complete, masks.ignored)
-        self._shown = lambda: masks.pictures(steady)
+        self._shown = lambda: Pictures(
+            steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
+        )  # fmt: skip
+        # E is counted in the picture's own pixels, where there is anything to count
+        near = box_about(expected.complete | observed, NEAR_PX)
+        close = window.within(*near)
+        sharp, sharp_observed, sharp_ignored = (
+            close.sharp().expected(steady.whole), close.enlarged(observed[near]), close.enlarged(ignored[near])
+        )  # fmt: skip
+        comparison = compare(sharp.mask, sharp_observed, sharp.complete, sharp_ignored)
+        comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * window.step**2)
         blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
         if blocked:
             return self._blind(Look(comparison, UNUSABLE, blocked), moment)
@@ -255,7 +251,7 @@ class Inspector:
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
                 view.learn(steady, seen)
-            view.check_calibration(moment, steady, masks.observed, masks.ignored)
+            view.check_calibration(moment, close.sharp(), sharp, sharp_observed, sharp_ignored)
         return Check.of(moment, self.look, ruling, self._toolpath.objects)
 
     def _blind(self, look: Look, moment: Moment) -> Check:

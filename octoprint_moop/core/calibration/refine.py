@@ -213,11 +213,15 @@ def _fit(camera: Camera, layers: Sequence[SilhouetteEdges]) -> Camera | None:
     which = np.repeat(np.arange(len(layers)), [len(edges.off_px) for edges in layers])
     wide = (which[:, None] == np.arange(len(layers))).astype(np.float64)
     spread = np.array([_TURN_SPREAD] * 3 + [_SHIFT_SPREAD_MM] * 3)
+    every = SilhouetteEdges(
+        np.vstack([edges.points_mm for edges in layers]), np.vstack([edges.normal for edges in layers]),
+        np.concatenate([edges.off_px for edges in layers]), 1.0,
+    )  # fmt: skip
     try:
         for _ in range(2):
             here = replace(camera, rvec=values[:3], tvec_mm=values[3:])
-            slopes = np.vstack([_slopes(here, edges) for edges in layers])
-            left = np.concatenate([edges.off_px - _moved_px(camera, here, edges) for edges in layers])
+            slopes = _slopes(here, every)
+            left = every.off_px - _moved_px(camera, here, every)
             whole = np.hstack([slopes, wide])
             prior = np.zeros((6, whole.shape[1]))
             prior[:, :6] = np.diag(_EDGE_SPREAD_PX / spread)

@@ -305,11 +305,8 @@ def _count(
         "barren_px": own(barren),
         "xor_px": own(wanted & ~observed & known) + near(extra),
     }
-    fresh = []
-    seen, age = ~unseen, sight.layer - print_map.layer[window]
-    for layers in WINDOWS:
-        new = later & (age < layers)
-        fresh.append((own(new), own(new & seen)))
+    age = sight.layer - print_map.layer[window]
+    fresh = list(zip(own.younger(later, age), own.younger(later & ~unseen, age)))
     return tuple(
         Evidence(
             scope,
@@ -326,7 +323,8 @@ class _Counter:
     def __init__(self, owner: np.ndarray, scopes: int, within: np.ndarray) -> None:
         """within : bool; no mask reaches beyond its pixels' rows and columns"""
         self._few, self._scopes = about(within), scopes
-        self._owner = (owner[self._few] + 1).astype(np.uint16)
+        owner = owner[self._few] + 1  # 0 for nobody's
+        self._owner = owner.astype(np.uint16) if scopes > 1 else np.zeros(owner.shape, np.uint16)
 
     def __call__(self, mask: np.ndarray) -> np.ndarray:
         mask = mask[self._few]
@@ -336,6 +334,20 @@ class _Counter:
             by_owner = cv2.calcHist([self._owner], [0], mask.view(np.uint8), [self._scopes], [0, self._scopes])
             counts[1:] = by_owner.ravel()[1:]
         return counts
+
+    def younger(self, mask: np.ndarray, age: np.ndarray) -> list[np.ndarray]:
+        """The same for each of WINDOWS, of the mask's pixels whose age in layers is less; none is younger than 0."""
+        mask, age = mask[self._few], np.clip(age[self._few], 0, WINDOWS[-1]).astype(np.uint16)
+        both = cv2.calcHist(
+            [self._owner, age], [0, 1], mask.view(np.uint8), [self._scopes, WINDOWS[-1]],
+            [0, self._scopes, 0, WINDOWS[-1]],
+        ).astype(np.int64)  # fmt: skip
+        found = []
+        for layers in WINDOWS:
+            counts = both[:, :layers].sum(axis=1)
+            counts[0] = counts.sum()
+            found.append(counts)
+        return found
 
 
 def close_to(sight: Sight) -> Window:

@@ -78,6 +78,8 @@ class Memory:
         unlike the latter: filament that looks like the bed is neither seen to come nor to go. Where no matter was seen
         yet, it must be like the bare bed; where only matter was seen, unlike it.
         """
+        if not where.any():
+            return where
         few = about(where)
         has_bare, has_covered = self._has_bare[window][few], self._has_covered[window][few]
         from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
@@ -87,12 +89,16 @@ class Memory:
 
     def looks_unchanged(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look just as they did without matter, which was never seen there."""
+        if not where.any():
+            return where
         few = about(where)
         still = self._has_bare[window][few] & ~self._has_covered[window][few]
         return placed(where, few, still & (_apart(look, self._bare, window, few) < UNCHANGED))
 
     def looks_strange(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
+        if not where.any():
+            return where
         few = about(where)
         known = self._has_bare[window][few] & self._has_covered[window][few]
         from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
@@ -105,6 +111,8 @@ class Memory:
 
         change : grey levels in any channel that make a difference; unknown : what to say where the bare bed's look is not known
         """
+        if not where.any():
+            return where
         few = about(where)
         new = _apart(look, self._bare, window, few) > change
         has_bare = self._has_bare[window][few]

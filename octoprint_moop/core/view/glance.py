@@ -3,8 +3,6 @@ something stand before it) needs it no larger, and a quarter of the width is a s
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import cv2
 import numpy as np
 
@@ -19,17 +17,25 @@ class Glance:
 
     def __init__(self, frame_bgr: np.ndarray) -> None:
         self.finer = finer(frame_bgr.shape[1])
-        self._frame_bgr = frame_bgr
+        self._sizes = {1: frame_bgr}
 
-    @cached_property
+    @property
     def half(self) -> np.ndarray:
         """(h, w, 3) uint8: about 320 px wide."""
-        return shrunk(self._frame_bgr, 2 * self.finer)
+        return self.at(2 * self.finer)
 
-    @cached_property
+    @property
     def quarter(self) -> np.ndarray:
         """(h, w, 3) uint8: about 160 px wide."""
-        return shrunk(self.half, 2)
+        return self.at(4 * self.finer)
+
+    def at(self, step: int) -> np.ndarray:
+        """(h, w, 3) uint8: the frame at 1/step of its size."""
+        if step not in self._sizes:
+            # OpenCV halves a picture many times faster than it does anything else to its size
+            larger = step // 2 if step % 4 == 0 else 2 if step % 2 == 0 and step > 2 else 1
+            self._sizes[step] = shrunk(self.at(larger), step // larger)
+        return self._sizes[step]
 
 
 def finer(width_px: int) -> int:
@@ -39,8 +45,6 @@ def finer(width_px: int) -> int:
 
 def shrunk(picture: np.ndarray, step: int) -> np.ndarray:
     """A picture (H, W, ...) at 1/step of its size, each pixel the mean of those that it stands for."""
-    while step % 2 == 0 and step > 2:  # OpenCV halves a picture many times faster than it does anything else to its size
-        picture, step = shrunk(picture, 2), step // 2
     if step == 1:
         return picture
     size_px = max(picture.shape[1] // step, 1), max(picture.shape[0] // step, 1)

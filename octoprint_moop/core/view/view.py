@@ -12,7 +12,7 @@ from ..calibration.selfcheck import SelfCheck
 from ..camera import BedMotion, Camera
 from ..decision.memory import Memory
 from ..errors import FrameError
-from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, box_about, surroundings
+from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, surroundings
 from ..head import HeadModel
 from ..header import Moment, Printer
 from ..segmentation.adaptive import AdaptiveSegmenter
@@ -27,7 +27,6 @@ from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
-CALIBRATION_REACH_PX = 16  # how far from the expected edges the seen ones are looked for, and a little more
 MOST_HIDDEN_RATIO = 0.005  # of the print's surroundings, by the head in the picture of the empty bed
 
 
@@ -38,7 +37,7 @@ class SteadyFrame:
     window   : which part of the picture, and in what size; all masks and pictures are of its shape
     frame    : (h, w, 3) uint8 BGR
     outside  : (h, w) uint8, 255 where the turned camera did not look
-    expected : what must be seen in the window; sharp : the same in the picture's own size
+    expected : what must be seen in the window; whole : in the whole picture, in its own size
     small    : `Glance.quarter` of the whole, steady and in the reference's light
     moved    : the sentence for the user where the camera has just been moved, else ""
     """
@@ -47,7 +46,7 @@ class SteadyFrame:
     frame: np.ndarray
     outside: np.ndarray
     expected: Expected
-    sharp: Expected
+    whole: Expected
     small: np.ndarray
     moved: str
     _whole_bgr: np.ndarray
@@ -172,7 +171,7 @@ class View:
             return Memory(None, window.shape)
         bare_pose = self._expected.pose(self._bare_position_mm)
         if bare_pose == pose:
-            return Memory(window.of(self._bare_bgr), window.shape)
+            return Memory(window.of(Glance(self._bare_bgr)), window.shape)
         motion = window.from_picture @ self._print_motion((self._camera, bare_pose), (self._camera, pose))
         size_px = window.shape[::-1]
         known = cv2.warpPerspective(np.full(self._bare_bgr.shape[:2], 255, np.uint8), motion, size_px) > 0
@@ -211,15 +210,14 @@ class View:
         turn = stabiliser.turn(glance, moment.position_mm, self._turn)
         moved = self._notice(turn, stabiliser)
         if turn is STILL:
-            part, small, outside = window.of(whole_bgr), glance.quarter, np.zeros(window.shape, np.uint8)
+            part, small, outside = window.of(glance), glance.quarter, np.zeros(window.shape, np.uint8)
         else:
             part, outside = (window.resized(one) for one in stabiliser.undo(whole_bgr, turn, window.part))
             small, _ = stabiliser.undo(glance.quarter, turn)
         light = backdrop.light.change(small)
-        near, sharp = window.expected(expected), window.expected(expected, sharp=True)
         return SteadyFrame(
-            window, light.undone(part, window.box), outside, near, near if window.step == 1 else sharp,
-            light.undone(small), moved, whole_bgr, stabiliser, turn, light,
+            window, light.undone(part, window.box), outside, window.expected(expected), expected, light.undone(small),
+            moved, whole_bgr, stabiliser, turn, light,
         )  # fmt: skip
 
     def observe(self, steady: SteadyFrame) -> Observation:
@@ -230,22 +228,20 @@ class View:
         """All is well in this frame: so look filament and background in this print."""
         self._segmenter.learn(steady.frame, steady.expected, seen)
 
-    def check_calibration(self, moment: Moment, steady: SteadyFrame, observed: np.ndarray, ignored: np.ndarray) -> None:
+    def check_calibration(
+        self, moment: Moment, close: Window, expected: Expected, observed: np.ndarray, ignored: np.ndarray
+    ) -> None:
         """All is well in this frame: so it tells how well the calibration fits, and may better it.
 
         The print is then expected where the better camera sees it; what was seen and learned stays.
-        observed, ignored : the window's masks in the picture's own size
+        close : about the print as it is seen, in the picture's own size; expected, observed, ignored : in it
         """
-        window = steady.window
         pose = self._expected.pose(moment.position_mm)
-        rows, columns = near = box_about(steady.sharp.mask, CALIBRATION_REACH_PX)
-        corner_px = (window.x0 + columns.start, window.y0 + rows.start)
-        better = self.selfcheck.good(
-            SilhouetteView(steady.sharp.part(*near), observed[near], np.array(pose), ignored[near], corner_px)
-        )
+        view = SilhouetteView(expected, observed, np.array(pose), ignored, (close.x0, close.y0))
+        better = self.selfcheck.good(view)
         if better is None:
             return
-        motion = self._print_motion((self._camera, pose), (better, pose))
+        motion, window = self._print_motion((self._camera, pose), (better, pose)), self._memory_at[1]
         matrix = window.from_picture @ motion @ np.linalg.inv(window.from_picture)
         self.memory(moment).recalibrated(matrix, window.shape)
         self._camera = better
@@ -295,7 +291,7 @@ class View:
             return ThresholdSegmenter(self._material)
         kind = self._printer.bed.kind
         moves = kind == "z" or (kind == "y" and not moment.parked)
-        bare_bgr = None if moves or self._bare_bgr is None else window.of(backdrop.picture())
+        bare_bgr = None if moves or self._bare_bgr is None else window.of(Glance(backdrop.picture()))
         return AdaptiveSegmenter(self._material, bare_bgr, bed_moves=moves)
 
     def _notice(self, turn: CameraTurn, stabiliser: Stabiliser) -> str:

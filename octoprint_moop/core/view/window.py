@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ..expected.views import Expected, PrintMap, surroundings
-from .glance import finer, shrunk
+from .glance import Glance, finer, shrunk
 
 WORK_WIDTH_PX = 900  # a picture twice as wide is looked at in half the size, and so on
 
@@ -97,9 +97,25 @@ class Window:
         """The window's part of a whole picture (H, W, ...), in full size; not a copy."""
         return picture[self.part]
 
-    def of(self, picture: np.ndarray) -> np.ndarray:
+    def within(self, rows: slice, columns: slice) -> Window:
+        """Of the window, these rows and columns."""
+        step = self.step
+        return replace(
+            self, x0=self.x0 + columns.start * step, x1=self.x0 + columns.stop * step,
+            y0=self.y0 + rows.start * step, y1=self.y0 + rows.stop * step,
+        )  # fmt: skip
+
+    def sharp(self) -> Window:
+        """The same part of the picture, in the picture's own size."""
+        return replace(self, step=1)
+
+    def of(self, frame: Glance) -> np.ndarray:
         """What a frame shows in the window, each pixel the mean of those that it stands for."""
-        return self.resized(self.cut(picture))
+        return np.ascontiguousarray(
+            frame.at(self.step)[
+                self.y0 // self.step : self.y1 // self.step, self.x0 // self.step : self.x1 // self.step
+            ]
+        )
 
     def resized(self, part: np.ndarray) -> np.ndarray:
         """What was cut, in the window's size."""
@@ -118,10 +134,10 @@ class Window:
         return cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1]
 
     def placed(self, mask: np.ndarray) -> np.ndarray:
-        """A mask of what was cut in a picture that is empty elsewhere, (H, W) uint8."""
+        """A mask (uint8, 0 or 255) of the window in a whole picture that is empty elsewhere."""
         width, height = self.size_px
         whole = np.zeros((height, width), np.uint8)
-        self.cut(whole)[:] = mask
+        self.cut(whole)[:] = self.enlarged(mask)
         return whole
 
     def in_small(self, mask: np.ndarray, small: np.ndarray) -> None:
@@ -132,10 +148,8 @@ class Window:
         """The window's part of a mask of the size of `Glance.quarter`."""
         return cv2.resize(small[self._small], self.shape[::-1], interpolation=cv2.INTER_NEAREST)
 
-    def expected(self, expected: Expected, sharp: bool = False) -> Expected:
-        """What must be seen in the window; sharp : in the picture's own size"""
-        if sharp:
-            return replace(self, step=1).expected(expected)
+    def expected(self, expected: Expected) -> Expected:
+        """What must be seen in the window."""
         return Expected(
             self.sampled(expected.birth), expected.laid, expected.before, expected.doubt,
             None if expected.hidden is None else self.sampled(expected.hidden),
