@@ -134,12 +134,21 @@ def test_a_look_survives_json():
     assert Look.from_json(json.loads(json.dumps(blind.to_json()))) == blind
 
 
-def test_right_after_the_camera_was_moved_one_look_is_not_enough():
+def after(blind: str, *seen: Look) -> list[str]:
+    """Verdicts of what follows eight good looks and a blind one; a blind one among `seen` has none."""
     courses, moment = Courses("medium"), Moment("1.jpg", 10, 0, (0.0, 0.0, 0.0))
     for _ in range(8):
         courses.rule(look(), moment)
-    courses.rule(Look(blind="camera_moved", reason="It was moved."), moment)
-    verdicts = [courses.rule(one, moment)[1].worst.verdict for one in (look(9.0), look(9.0))]
-    assert verdicts == [SUSPECT, FAILED]
-    courses.rule(Look(blind="unusable", reason="Black."), moment)  # which says nothing of where the camera stands
-    assert courses.rule(look(9.0), moment)[1].worst.verdict == FAILED
+    found = [courses.rule(one, moment)[1] for one in (Look(blind=blind, reason="Why."), *seen)]
+    return [ruling.worst.verdict for ruling in found if ruling is not None]
+
+
+@pytest.mark.parametrize("blind", ["camera_moved", "unusable"])
+def test_right_after_nothing_could_be_seen_one_look_is_not_enough_but_two_are(blind):
+    assert after(blind, look(9.0), look(9.0)) == [SUSPECT, FAILED]
+    assert after(blind, look(), look(9.0)) == [OK, FAILED]
+
+
+def test_a_failure_between_two_obstacles_is_a_failure_and_one_between_two_knocks_may_be_the_camera():
+    assert after("unusable", look(9.0), Look(blind="unusable"), look(9.0)) == [SUSPECT, FAILED]
+    assert after("camera_moved", look(9.0), Look(blind="camera_moved"), look(9.0)) == [SUSPECT, SUSPECT]

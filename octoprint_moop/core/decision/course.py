@@ -108,9 +108,13 @@ class Course:
         self._last: tuple[Look, Ruling] | None = None
         self._shaken = False
 
-    def shaken(self) -> None:
-        """The camera has just moved: the next look may be through it at a place where it does not stand, and only suspects."""
-        self._shaken = True
+    def blind(self, verdict: str) -> None:
+        """A look could not be judged, so the next one that can only suspects: the camera that was moved may be looked
+        through at a place where it does not stand, what stood in the view may not be quite gone. Where the last one that
+        could be judged suspected already, obstacles excuse nothing.
+        """
+        suspected = self._last is not None and self._last[1].worst.verdict != OK
+        self._shaken |= verdict == CAMERA_MOVED or not suspected
 
     def rule(self, look: Look, again: bool = False) -> Ruling:
         """What follows from a look in which something could be judged.
@@ -203,8 +207,8 @@ class Courses:
         file_pos, before = self._judged.get(moment.camera, (None, look))
         again = moment.again and file_pos == moment.file_pos
         if look.blind:
-            if look.blind == CAMERA_MOVED:
-                course.shaken()
+            if not again:
+                course.blind(look.blind)
             ruling = course.unconfirmed() if again else None
             return (look, None) if ruling is None else (before, ruling)
         ruling = course.rule(look, again)

@@ -256,8 +256,9 @@ def _could_be_matter(where: np.ndarray, matter: np.ndarray, look: np.ndarray, ba
     blue, green, red = (plane[lies][matter[lies]] >> 4 for plane in look)
     counts = np.bincount((blue.astype(np.intp) * 16 + green) * 16 + red, minlength=4096).astype(np.float32)
     padded = np.pad(counts.reshape(16, 16, 16), 1)
-    steps = range(3)
-    near = sum(padded[i : i + 16, j : j + 16, k : k + 16] for i in steps for j in steps for k in steps)
+    near = np.zeros((16, 16, 16), np.float32)
+    for i, j, k in np.ndindex(3, 3, 3):
+        near += padded[i : i + 16, j : j + 16, k : k + 16]
     blue, green, red = (plane[few] >> 4 for plane in bare)
     return placed(where, few, near[blue, green, red] > ALIKE_RATIO * np.count_nonzero(matter))
 
