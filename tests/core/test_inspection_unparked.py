@@ -6,12 +6,16 @@ Painted by the demo's simulated webcam, whose painter shares nothing with the re
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from octoprint_moop.core.camera import BedMotion
+from octoprint_moop.core.expected.hardware import hidden_by
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
+from octoprint_moop.core.head import HeadModel
 from octoprint_moop.core.header import Header, Moment, Printer
 from octoprint_moop.core.inspection import Check, Inspector
 from octoprint_moop.demo.faults import Fault
@@ -28,9 +32,14 @@ def toolpath(tmp_path_factory):
     return read_gcode(path)
 
 
-def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = ()) -> list[Check]:
-    """The checks after each layer, with the nozzle over the last bead."""
+def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = (), tall: bool = False) -> list[Check]:
+    """The checks after each layer, with the nozzle over the last bead.
+
+    With `tall` they are made from twice as far, under a head that reaches above the picture.
+    """
     camera = demo_camera().resized((480, 360))
+    if tall:
+        camera = replace(camera, K=camera.K * [[0.5, 1, 1], [1, 0.5, 1], [1, 1, 1]])
     scene = Scene(toolpath, camera, bed, seed=5, faults=faults)
     header = Header(Printer(250, 210, 210, bed=bed), ((None, camera),), MATERIAL)
     inspector = Inspector(header, toolpath, CvRenderer(), reference_bgr=scene.frame(0, (0, 200, 0)))
@@ -39,6 +48,10 @@ def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = ()
         file_pos = int(toolpath.layer_end_pos[layer])
         position = tuple(float(value) for value in toolpath.beads_mm[toolpath.laid_at(file_pos) - 1][3:6])
         frame = scene.frame(file_pos, position)
+        if tall:
+            head = hidden_by(HeadModel.common(250), position, bed, camera)
+            head[head.shape[0] // 3 :] = 0
+            frame = np.where(head[..., None] > 0, np.array((20, 30, 60 + 120 * (layer % 2)), np.uint8), frame)
         found.append(inspector.check(frame, Moment(str(layer), file_pos, layer, position, parked=False)))
     return found
 
@@ -46,6 +59,10 @@ def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = ()
 @pytest.mark.parametrize("kind", BEDS)
 def test_a_good_print_is_judged_and_left_alone(toolpath, kind):
     assert {check.verdict for check in checks(toolpath, BEDS[kind], 12)} == {"ok"}
+
+
+def test_a_head_that_reaches_far_above_the_print_is_nobodys_hand(toolpath):
+    assert {check.verdict for check in checks(toolpath, BEDS["fixed"], 6, tall=True)} == {"ok"}
 
 
 def test_a_print_that_comes_off_is_seen_past_the_head(toolpath):

@@ -255,6 +255,9 @@ class View:
         assert self._backdrop is not None
         known, place = self._backdrop.unknown.copy(), np.zeros_like(self._backdrop.unknown)
         steady.window.in_small(filament, known)
+        if steady.whole.volume is not None:  # the head may reach far beyond the window
+            head = cv2.resize(steady.whole.volume, known.shape[::-1], interpolation=cv2.INTER_AREA)
+            known |= cv2.threshold(head, 0, 255, cv2.THRESH_BINARY)[1]
         steady.window.in_small(steady.expected.complete, place)
         return self._backdrop.occluders.find(steady.small, known, place)
 
