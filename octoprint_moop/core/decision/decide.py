@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from statistics import median
 
 from .evidence import WINDOWS, Evidence
@@ -117,12 +118,11 @@ def _barren(track: Track, evidence: Evidence, limit: float) -> float:
     return (evidence.barren_px / total - usual) / limit
 
 
-def _above(past: Sequence[float], value: float) -> float:
+def _above(past: tuple[float, ...], value: float) -> float:
     """By how much a figure that is never nothing lies above all that is usual; 0 until enough checks have told."""
     if len(past) < FRESH_CHECKS:
         return 0.0
-    usual = median(past)
-    return max(value - usual - 4 * 1.4826 * median(abs(one - usual) for one in past), 0.0)
+    return max(value - _usual(past) - 4 * _spread(past), 0.0)
 
 
 def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
@@ -131,9 +131,8 @@ def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
     for past, (new_px, seen_px) in zip(track.seen, evidence.fresh):
         if new_px < FRESH_LEAST_PX or len(past) < FRESH_CHECKS:
             continue
-        usual = median(past)
-        spread = 1.4826 * median(abs(value - usual) for value in past)
-        limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * spread) * min(wide, 1.3)
+        usual = _usual(past)
+        limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * _spread(past)) * min(wide, 1.3)
         # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
         limit += 0.25 / (new_px / 10) ** 0.5
         found.append((usual - seen_px / new_px) / limit)
@@ -214,8 +213,16 @@ def _comes(evidence: Evidence) -> bool:
     return any(new_px >= FRESH_LEAST_PX and seen_px > 0.6 * new_px for new_px, seen_px in evidence.fresh[:2])
 
 
-def _usual(past: Sequence[float]) -> float:
+@lru_cache(maxsize=1024)  # a check asks the same past many times over
+def _usual(past: tuple[float, ...]) -> float:
     return median(past) if past else 0.0
+
+
+@lru_cache(maxsize=1024)
+def _spread(past: tuple[float, ...]) -> float:
+    """Of the past about its median, as a standard deviation."""
+    usual = _usual(past)
+    return 1.4826 * median(abs(value - usual) for value in past)
 
 
 def _with(past: tuple[float, ...], value: float) -> tuple[float, ...]:

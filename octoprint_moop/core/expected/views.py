@@ -102,8 +102,8 @@ class Expected:
     @cached_property
     def ignored(self) -> np.ndarray:
         """uint8, 255 where nothing can be said: hidden, or covered first by a bead that may not lie yet."""
-        doubtful = _between(self.birth, max(self.laid - self.doubt, 0), self.laid)
-        return doubtful if self.hidden is None else doubtful | self.hidden
+        hidden = np.zeros(self.birth.shape, np.uint8) if self.hidden is None else self.hidden
+        return hidden | _between(self.birth, max(self.laid - self.doubt, 0), self.laid) if self.doubt else hidden
 
     @cached_property
     def head(self) -> np.ndarray:
