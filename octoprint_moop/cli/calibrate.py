@@ -13,6 +13,7 @@ import numpy as np
 from ..core.errors import CalibrationError, FrameError
 
 if TYPE_CHECKING:
+    from ..core.calibration.markers import MarkerPlate
     from ..core.calibration.pose import PoseResult
 
 
@@ -31,6 +32,22 @@ def read_json(path: str) -> Any:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except ValueError as error:
         raise CalibrationError(f"{path}: not JSON ({error}). Export it again.") from None
+
+
+def read_markers(path: str) -> MarkerPlate:
+    """From markers.json, or from a job's own G-code. Raises CalibrationError where there are none, OSError."""
+    from ..core.calibration.markers import MarkerPlate
+    from ..core.calibration.printed import markers_in
+    from ..core.gcode.read import read_gcode
+
+    if not path.lower().endswith((".gcode", ".gco", ".g", ".gz")):
+        return MarkerPlate.from_json(read_json(path))
+    found = markers_in(read_gcode(Path(path)))
+    if found is None:
+        raise CalibrationError(
+            f"{path}: no four equal rings that stand alone on the bed. `moop markers --model` puts them around a model."
+        )
+    return found
 
 
 def write_json(path: str, data: dict[str, Any]) -> None:
@@ -80,7 +97,9 @@ def lens(
 @calibrate.command()
 @click.argument("image", type=click.Path())
 @click.option("--lens", "lens_path", required=True, type=click.Path(), help="What `calibrate lens -o` wrote.")
-@click.option("--markers", "markers_path", required=True, type=click.Path(), help="markers.json of the plate.")
+@click.option(
+    "--markers", "markers_path", required=True, type=click.Path(), help="markers.json, or the G-code that printed them."
+)
 @click.option("--hue", help="The markers' hue in degrees: from,to; wraps through 0.")
 @click.option("--saturation-min", type=float, default=0.4, show_default=True)
 @click.option("--value-min", type=float, default=0.25, show_default=True)
@@ -92,10 +111,9 @@ def pose(
 ) -> None:  # fmt: skip
     """The camera's pose, from an IMAGE of the marker plate on the bed."""
     from ..core.calibration.calibrate import Lens
-    from ..core.calibration.markers import MarkerPlate
     from ..core.calibration.pose import calibrate_pose, calibrate_pose_any_colour
 
-    plate = MarkerPlate.from_json(read_json(markers_path))
+    plate = read_markers(markers_path)
     lens_found = Lens.from_json(read_json(lens_path))
     picture = read_picture(image)
     if hue is None:

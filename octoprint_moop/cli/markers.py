@@ -74,7 +74,9 @@ def markers(
     if model is None:
         click.echo("Print it in a colour that stands out, leave it on the bed, and run `moop calibrate pose`.")
     else:
-        click.echo("Slice it without moving it: the markers must lie where markers.json says.")
+        click.echo(
+            "Slice and print it. The markers are found in its G-code, and each print tells where the camera stands."
+        )
 
 
 def _text(path: str | None) -> str | None:

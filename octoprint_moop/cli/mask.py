@@ -25,7 +25,9 @@ from .replay import placement_from
 @click.option("--complete", is_flag=True, help="The complete print.")
 @click.option("--distorted", is_flag=True, help="In the frame's own pixels, lens distortion included.")
 @click.option("--mesh", type=click.Path(path_type=Path), help="Draw this model (STL, OBJ, 3MF) instead of the beads.")
-@click.option("--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds.")
+@click.option(
+    "--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds."
+)
 @click.option("-o", "out", required=True, type=click.Path(path_type=Path), help="The PNG to write: 0 or 255.")
 def mask(
     recording: Path,

@@ -29,7 +29,9 @@ from .report import Report
               help="Also write a page with plot and pictures, to be read anywhere.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Look at every frame anew, whatever an earlier replay has kept.")
 @click.option("--mesh", type=click.Path(path_type=Path), help="Compare with this model (STL, OBJ, 3MF), as the paper.")
-@click.option("--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds.")
+@click.option(
+    "--mesh-at", metavar="X,Y[,DEG]", help="Middle of the model on the bed, mm, and its turn; else by bounds."
+)
 @click.option("--layer-height-mm", type=float, help="With --mesh, where the G-code cannot be read.")
 def replay(
     recording: Path, as_json: bool, changes: tuple[str, ...], page: Path | None, fresh: bool,

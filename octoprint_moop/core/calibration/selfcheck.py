@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..camera import Camera
 from ..toolpath import Toolpath
 from .refine import Refinement, SilhouetteEdges, SilhouetteView, refine_camera, silhouette_edges
@@ -39,7 +41,7 @@ class SelfCheck:
         self._finer = max(1.0, camera.image_size_px[0] / 640)
         self._layers: list[SilhouetteEdges] = []
         self._good_checks = 0
-        self._corrected_px = 0.0
+        self._corrected_px, self._from_markers_px = 0.0, 0.0
         self.fit: Fit | None = None
 
     def good(self, view: SilhouetteView) -> Camera | None:
@@ -61,6 +63,14 @@ class SelfCheck:
         self.fit = self._fit(found, better is not None)
         return better
 
+    def found_anew(self, camera: Camera, pose_mm: np.ndarray) -> None:
+        """The markers of this print have told where the camera stands. pose_mm : (3,) of the bed, added to the print."""
+        low, high = self._toolpath.bounds_mm()
+        points_mm = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])]) + pose_mm
+        apart_px = np.linalg.norm(camera.project(points_mm) - self.camera.project(points_mm), axis=1)
+        self._from_markers_px = float(np.nanmax(apart_px)) if np.isfinite(apart_px).any() else math.inf
+        self.camera, self._layers = camera, []
+
     def band_px(self, usual_px: float) -> float:
         """How wide the band about expected edges must be in which a difference says little; never less than usual."""
         error_px = 0.0 if self.fit is None else BAND_PER_ERROR * self.fit.error_px
@@ -68,7 +78,12 @@ class SelfCheck:
 
     def _fit(self, found: Refinement, corrected: bool) -> Fit:
         error_px = found.left_px if corrected else found.off_px
-        if self._corrected_px:
+        if self._from_markers_px:
+            told = (
+                f"The markers in this print tell where the camera stands, {self._from_markers_px:.1f} px from where it "
+                f"was thought to be. That fits to {error_px:.1f} px."
+            )
+        elif self._corrected_px:
             told = (
                 f"This print showed the calibration to be {self._corrected_px:.1f} px off. Corrected for this print, it "
                 f"fits to {error_px:.1f} px."
@@ -77,4 +92,4 @@ class SelfCheck:
             told = f"The calibration fits to {error_px:.1f} px."
         if BAND_PER_ERROR * error_px > WIDEST_BAND_PX * self._finer:
             told += " That is much: calibrate the camera's place again."
-        return Fit(error_px, told, self._corrected_px > 0)
+        return Fit(error_px, told, self._corrected_px > 0 or self._from_markers_px > 0)

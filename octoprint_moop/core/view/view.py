@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..calibration.printed import PrintedMarkers
 from ..calibration.refine import SilhouetteView
 from ..calibration.selfcheck import SelfCheck
 from ..camera import BedMotion, Camera
@@ -106,6 +107,7 @@ class View:
         self._renderer, self._head = renderer, head
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
         self.selfcheck = SelfCheck(camera, toolpath)
+        self._markers = PrintedMarkers(toolpath, material)
         self._bare_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._bare_position_mm = printer.bed.reference_mm if reference_mm is None else reference_mm
         self._material, self._segmentation = material, segmentation
@@ -209,6 +211,9 @@ class View:
         stabiliser = backdrop.stabiliser
         turn = stabiliser.turn(glance, moment.position_mm, self._turn)
         moved = self._notice(turn, stabiliser)
+        if not moved and self._find_markers(whole_bgr, turn, stabiliser, moment):
+            expected = self.expected(moment)
+            window = self._window_at(expected)
         if turn is STILL:
             part, small, outside = window.of(glance), glance.quarter, np.zeros(window.shape, np.uint8)
         else:
@@ -233,19 +238,39 @@ class View:
     ) -> None:
         """All is well in this frame: so it tells how well the calibration fits, and may better it.
 
-        The print is then expected where the better camera sees it; what was seen and learned stays.
         close : about the print as it is seen, in the picture's own size; expected, observed, ignored : in it
         """
         pose = self._expected.pose(moment.position_mm)
         view = SilhouetteView(expected, observed, np.array(pose), ignored, (close.x0, close.y0))
         better = self.selfcheck.good(view)
-        if better is None:
-            return
-        motion, window = self._print_motion((self._camera, pose), (better, pose)), self._memory_at[1]
-        matrix = window.from_picture @ motion @ np.linalg.inv(window.from_picture)
-        self.memory(moment).recalibrated(matrix, window.shape)
-        self._camera = better
-        self._expected = ExpectedViews(self._toolpath, better, self._printer.bed, self._renderer, self._head)
+        if better is not None:
+            self._expect_from(better, moment)
+
+    def _find_markers(self, whole_bgr: np.ndarray, turn: CameraTurn, stabiliser: Stabiliser, moment: Moment) -> bool:
+        """Whether markers that are printed with the part have just told where the camera stands."""
+        layer = self._toolpath.layer_at(moment.file_pos)
+        if layer < 0 or not self._markers.wanted(float(self._toolpath.layer_z_mm[layer])):
+            return False
+        if turn is not STILL:
+            whole_bgr, _ = stabiliser.undo(whole_bgr, turn)
+        pose, top_mm = np.array(self._expected.pose(moment.position_mm)), float(self._toolpath.layer_z_mm[layer])
+        found = self._markers.camera(whole_bgr, self._camera, pose, top_mm)
+        if found is None:
+            return False
+        self.selfcheck.found_anew(found, pose)
+        self._expect_from(found, moment)
+        return True
+
+    def _expect_from(self, camera: Camera, moment: Moment) -> None:
+        """Expect the print where this camera, of the same picture, sees it. What was seen and learned stays."""
+        if self._memory is not None:
+            memory = self.memory(moment)
+            pose, window = self._memory_at
+            motion = self._print_motion((self._camera, pose), (camera, pose))
+            matrix = window.from_picture @ motion @ np.linalg.inv(window.from_picture)
+            memory.recalibrated(matrix, window.shape)
+        self._camera = camera
+        self._expected = ExpectedViews(self._toolpath, camera, self._printer.bed, self._renderer, self._head)
 
     def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
         """(h, w) uint8, of the size of `SteadyFrame.small`, 255 where something newly hides the view.
