@@ -21,7 +21,7 @@ from ..core.errors import MoopError
 USER = "demo"
 HOST = "127.0.0.1"
 # Plugins that look for updates, news or other servers; a demo and a test must run without a network.
-_SILENT = ("softwareupdate", "announcements", "errortracking", "discovery", "firmware_check", "file_check",
+SILENT = ("softwareupdate", "announcements", "errortracking", "discovery", "firmware_check", "file_check",
            "achievements", "health_check")  # fmt: skip
 _WIZARDS = {"corewizard": 99, "backup": None, "tracking": None, "classicwebcam": 1, "file_check": 1, "moop": 99}
 
@@ -218,7 +218,7 @@ class DemoServer:
             "webcam": {"timelapse": {"type": "off"}},
             "devel": {"enableRateLimiter": False},
             "plugins": {
-                "_disabled": list(_SILENT),
+                "_disabled": list(SILENT),
                 "tracking": {"enabled": False},
                 "classicwebcam": webcam,
                 # The printer's default asks for resends now and then, which is another demonstration than ours.

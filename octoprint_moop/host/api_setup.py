@@ -40,6 +40,8 @@ class MoopSetupApi(BlueprintPlugin):
     _homing: Homing
     _moop_settings: Settings
     _lens_pictures: dict[int, bytes]
+    _lens_found: dict[int, dict[str, Any]]
+    _lens_last: bytes
     _pose_picture: bytes
     _pose_position_mm: tuple[float, float, float] | None
     _bench_lock: threading.Lock
@@ -129,15 +131,34 @@ class MoopSetupApi(BlueprintPlugin):
     @BlueprintPlugin.route("/calibrate/lens/pictures", methods=["POST"])
     @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
     def post_lens_picture(self) -> Any:
-        """Takes one picture of the checkerboard and keeps it where the board is seen whole."""
-        jpeg = self._grab()
-        found, _ = self._bench_eye.ask("find_board", jpeg, timeout_s=QUICK_S, **_board(body()))
+        """Takes one picture of the checkerboard and keeps it where the board is seen whole; never with `keep`: false."""
+        wanted = body()
+        self._lens_last = jpeg = self._grab()
+        found, _ = self._bench_eye.ask("find_board", jpeg, timeout_s=QUICK_S, **_board(wanted))
         picture_id = None
         with self._bench_lock:
-            if found["corners_px"] is not None and len(self._lens_pictures) < MOST_LENS_PICTURES:
+            seen = found["corners_px"] is not None and wanted.get("keep") is not False
+            if seen and len(self._lens_pictures) < MOST_LENS_PICTURES:
                 picture_id = max(self._lens_pictures, default=-1) + 1
                 self._lens_pictures[picture_id] = jpeg
+                self._lens_found[picture_id] = found
             return flask.jsonify(**found, id=picture_id, kept=len(self._lens_pictures))
+
+    @BlueprintPlugin.route("/calibrate/lens/pictures", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_lens_pictures(self) -> Any:
+        """Those that are kept, with the corners that were seen in them, and the size of the newest."""
+        with self._bench_lock:
+            found = dict(self._lens_found)
+        pictures = [{"id": picture_id, "corners_px": each["corners_px"]} for picture_id, each in found.items()]
+        size_px = next((each["image_size_px"] for each in reversed(list(found.values()))), None)
+        return flask.jsonify(pictures=pictures, image_size_px=size_px)
+
+    @BlueprintPlugin.route("/calibrate/lens/last.jpg", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_last_lens_picture(self) -> Any:
+        """The picture in which the board was looked for last, kept or not."""
+        return picture_response(self._lens_last) if self._lens_last else flask.abort(404)
 
     @BlueprintPlugin.route("/calibrate/lens/pictures/<int:picture_id>.jpg", methods=["GET"])
     @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
@@ -150,6 +171,7 @@ class MoopSetupApi(BlueprintPlugin):
     def delete_lens_pictures(self) -> Any:
         with self._bench_lock:
             self._lens_pictures.clear()
+            self._lens_found.clear()
         return flask.jsonify({})
 
     @BlueprintPlugin.route("/calibrate/lens", methods=["POST"])
