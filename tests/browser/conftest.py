@@ -11,9 +11,8 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import FLAGS, OCTOPRINT, Canned, chromium_path, log_in, show_tab
+from .stage import FLAGS, OCTOPRINT, WIDE, Canned, chromium_path, log_in, show_tab
 
-WIDE = {"width": 1280, "height": 1400}
 # What a test may have left behind in the page: themes, dialogs, pop-ups, and what the tab was told.
 PUT_BACK = """() => {
     document.querySelectorAll('body style, head style:not([data-kept])').forEach(style => style.remove());
@@ -29,6 +28,9 @@ PUT_BACK = """() => {
     tab.status(null);
     tab.view.checks([]);
     tab.view.picture.image = tab.view.picture.masks = null;
+    const past = ko.dataFor(document.getElementById('moop_past'));
+    past.opened.close();
+    past.recordings([]);
     $('#moop_pages a[href="#moop_watch_page"]').tab('show');
 }"""
 

@@ -18,6 +18,8 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking",
          "--disable-component-update", "--no-first-run"]  # fmt: skip
 WIDTH, HEIGHT = 320, 240
+PRINTER = {"volume_mm": {"width": 200, "depth": 200, "height": 200}, "bed_motion": "y"}
+WIDE = {"width": 1280, "height": 1400}
 
 
 def chromium_path() -> str | None:
@@ -26,12 +28,16 @@ def chromium_path() -> str | None:
 
 
 def log_in(page: Any, url: str, user: str, password: str) -> None:
+    give_name(page, url, user, password)
+    wait_for_page(page)
+
+
+def give_name(page: Any, url: str, user: str, password: str) -> None:
     page.goto(url + "/?l10n=en")
     page.wait_for_function("window.OctoPrint && OctoPrint.loginui && OctoPrint.loginui.startedUp", timeout=60_000)
     page.fill("#login-user", user)
     page.fill("#login-password", password)
     page.click("#login-button")
-    wait_for_page(page)
 
 
 def show_tab(page: Any) -> None:
@@ -92,6 +98,7 @@ class Canned:
             "action": "none", "reason": "", "renderer": "OpenCV", "version": "0",
         }  # fmt: skip
         self.checks: list[dict[str, Any]] = []
+        self.recordings: list[dict[str, Any]] | None = None  # None: as the server has them
         self.posts: list[tuple[str, Any]] = []
         self.asked: list[str] = []
         page.route("**/plugin/moop/**", self._answer)
@@ -122,18 +129,26 @@ class Canned:
             route.continue_()
             return
         self.asked.append(path)
-        if request.method == "POST" and path != "segment/preview":
+        if path == "calibrate/guides":
+            route.fulfill(json={"lines": []})
+        elif request.method == "POST" and path != "segment/preview":
             self.posts.append((path, request.post_data_json))
             route.fulfill(json={})
         elif path == "status":
             route.fulfill(json=self.status)
         elif path == "setup":
-            route.fulfill(json={"format": "moop-recording", "version": 1, "camera": {}})
-        elif path == "checks":
+            route.fulfill(json={"format": "moop-recording", "version": 1, "camera": {}, "printer": PRINTER})
+        elif path == "calibrate/printer":
+            route.fulfill(json={"printer": PRINTER})
+        elif path == "mesh":
+            route.fulfill(json={"job": None, "mesh": None})
+        elif path == "recordings" and self.recordings is not None:
+            route.fulfill(json={"recordings": self.recordings})
+        elif (path.startswith("recordings/") and path.endswith("/checks")) or path == "checks":
             route.fulfill(json={"checks": self.checks})
         elif path.endswith(".png") or path == "segment/preview":
             route.fulfill(body=png(path.split("/")[-1]), content_type="image/png")
-        elif path.endswith("frame.jpg") or path in ("frame", "calibrate/picture.jpg"):
+        elif path.endswith(("frame.jpg", "thumbnail.jpg")) or path in ("frame", "calibrate/picture.jpg"):
             route.fulfill(body=frame(), content_type="image/jpeg")
         else:
             route.continue_()

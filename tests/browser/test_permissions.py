@@ -49,7 +49,25 @@ def test_the_set_up_tells_an_onlooker_who_can_help(onlooker: Any) -> None:
     assert not onlooker.is_visible("[data-test-id=moop-step-camera]")
 
 
-@pytest.mark.parametrize("call", ["checkNow()", "watch(false)", "pardon()", "saveSetup({})", "deleteRecording('x')"])
+@pytest.mark.parametrize(
+    "call",
+    [
+        "checkNow()",
+        "watch(false)",
+        "pardon()",
+        "saveSetup({})",
+        "deleteRecording('x')",
+        "keepRecording('x', true)",
+        "measureBedMotion({confirmed: true})",
+        "useCalibration(1)",
+        "revertCalibration()",
+        "deleteCalibration(1)",
+        "makeMarkers({})",
+        "takePosePicture()",
+        "takeBoardPicture({square_mm: 15})",
+        "findLens({})",
+    ],
+)
 def test_the_server_refuses_an_onlooker_whatever_the_page_shows(onlooker: Any, call: str) -> None:
     status = onlooker.evaluate(
         f"() => new Promise(done => OctoPrint.plugins.moop.{call}.done(() => done(200)).fail(request => done(request.status)))"

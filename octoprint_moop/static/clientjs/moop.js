@@ -60,6 +60,24 @@
         return this.base.postJson(this.route("pardon"), {}, opts);
     };
 
+    /* {job, mesh}: the model that the selected job is compared with, or null. The next three answer the same. */
+    MoopClient.prototype.mesh = function (opts) {
+        return this.base.get(this.route("mesh"), opts);
+    };
+
+    MoopClient.prototype.attachMesh = function (file) {
+        return this.base.upload(this.route("mesh"), file);
+    };
+
+    /* Whether it is used, and where it stands: any of use, x_mm, y_mm, turn_deg, layer_height_mm. */
+    MoopClient.prototype.chooseMesh = function (wanted, opts) {
+        return this.base.postJson(this.route("mesh", "choice"), wanted, opts);
+    };
+
+    MoopClient.prototype.removeMesh = function (opts) {
+        return this.base.delete(this.route("mesh"), opts);
+    };
+
     MoopClient.prototype.setup = function (opts) {
         return this.base.get(this.route("setup"), opts);
     };
@@ -123,17 +141,62 @@
         return this.base.postJson(this.route("calibrate", "guides"), {printer: printer, camera: camera}, opts);
     };
 
+    /* What measuring the bed's motion would do: {can, why, from_mm, to_mm}. Nothing moves. */
+    MoopClient.prototype.bedMotionPlan = function (opts) {
+        return this.base.get(this.route("calibrate", "bed-motion"), opts);
+    };
+
+    /* {bed_motion, bed_reference_mm}; moves the printer where `confirmed`, not where it was `moved` by hand. */
+    MoopClient.prototype.measureBedMotion = function (wanted, opts) {
+        return this.base.postJson(this.route("calibrate", "bed-motion"), wanted, opts);
+    };
+
+    /* {current, calibrations}: those that are kept, the newest first. The next four answer the same. */
+    MoopClient.prototype.calibrations = function (opts) {
+        return this.base.get(this.route("calibrations"), opts);
+    };
+
+    MoopClient.prototype.useCalibration = function (id, opts) {
+        return this.base.postJson(this.route("calibrations", id, "use"), {}, opts);
+    };
+
+    MoopClient.prototype.revertCalibration = function (opts) {
+        return this.base.postJson(this.route("calibrations", "revert"), {}, opts);
+    };
+
+    MoopClient.prototype.renameCalibration = function (id, name, opts) {
+        return this.base.postJson(this.route("calibrations", id), {name: name}, opts);
+    };
+
+    MoopClient.prototype.deleteCalibration = function (id, opts) {
+        return this.base.delete(this.route("calibrations", id), opts);
+    };
+
+    /* Address of one of them as a file. */
+    MoopClient.prototype.calibrationUrl = function (id) {
+        return this.address("calibrations", id + ".json");
+    };
+
     MoopClient.prototype.boardUrl = function (board) {
         return this.address("calibrate", "board.svg") + "?" + $.param(board);
     };
 
-    /* Takes a picture of the checkerboard: {corners_px, image_size_px, id, kept}; not kept where no board is seen. */
+    /*
+     * Takes a picture of the checkerboard: {corners_px, image_size_px, id, kept}; with keep: false in `board`, or where no
+     * board is seen, it is not kept and id is null.
+     */
     MoopClient.prototype.takeBoardPicture = function (board, opts) {
         return this.base.postJson(this.route("calibrate", "lens", "pictures"), board, opts);
     };
 
-    MoopClient.prototype.boardPictureUrl = function (id) {
-        return this.address("calibrate", "lens", "pictures", id + ".jpg");
+    /* {pictures: [{id, corners_px}, …], image_size_px}: those that are kept. */
+    MoopClient.prototype.boardPictures = function (opts) {
+        return this.base.get(this.route("calibrate", "lens", "pictures"), opts);
+    };
+
+    /* Address of the picture in which the board was looked for last. */
+    MoopClient.prototype.lastBoardPictureUrl = function () {
+        return this.address("calibrate", "lens", "last.jpg") + "?t=" + Date.now();
     };
 
     MoopClient.prototype.forgetBoardPictures = function (opts) {

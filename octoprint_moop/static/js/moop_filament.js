@@ -45,7 +45,11 @@
                 self.note(MOOP.words.say("Click on the filament in the picture."));
                 self.preview();
             })
-            .fail(function () { self.note(MOOP.words.say("The webcam gives no picture.")); });
+            .fail(function (address) {
+                if (address !== MOOP.Picture.OVERTAKEN) {
+                    self.note(MOOP.words.say("The webcam gives no picture."));
+                }
+            });
     };
 
     Filament.prototype.pick = function (point) {

@@ -33,6 +33,9 @@
             tab.settings.show(what[1]);
         } else if (what[0] === "watch") {
             tab.ask("watch", OctoPrint.plugins.moop.watch(true));
+        } else if (what[0] === "mesh") {
+            document.getElementById("moop_mesh").open = true;
+            document.getElementById("moop_mesh_file").focus();
         } else if (sidebar) {
             $(sidebar).collapse("show");
             document.querySelector(sidebar).scrollIntoView({block: "center"});

@@ -61,8 +61,8 @@
 
     /*
      * Loads {frame, seen, expected, ignored} (addresses; all but frame may be missing) and shows it in the way `show`
-     * ("plain", "seen", "expected", "difference"). The promise tells {masks: whether there are any}; it never settles
-     * for a picture that another one has overtaken.
+     * ("plain", "seen", "expected", "difference"). The promise tells {masks: whether there are any}, or fails with the
+     * address that could not be loaded; with Picture.OVERTAKEN where another picture was wanted meanwhile.
      */
     Picture.prototype.open = function (addresses, show) {
         const self = this;
@@ -76,6 +76,10 @@
             load(address).done(found.resolve).fail(function () { found.resolve(null); });
             return found;
         };
+        if (self.overtake) {
+            self.overtake();
+        }
+        self.overtake = function () { answer.reject(Picture.OVERTAKEN); };
         $.when(load(addresses.frame), optional(addresses.seen), optional(addresses.expected), optional(addresses.ignored))
             .done(function (frame, seen, expected, ignored) {
                 if (own !== self.generation) {
@@ -106,6 +110,8 @@
             });
         return answer.promise();
     };
+
+    Picture.OVERTAKEN = "overtaken";
 
     Picture.prototype.show = function (show) {
         this.overlay = null;

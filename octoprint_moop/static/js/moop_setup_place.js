@@ -19,6 +19,8 @@
         self.current = ko.observable(0);
         self.markersText = ko.observable("");
         self.found = ko.observable(null); // what the server answered, not yet taken over
+        self.how = "points";
+        self.name = ko.observable("");
         self.lines = ko.observableArray([]);
 
         self.clicked = ko.pureComputed(function () {
@@ -43,40 +45,59 @@
         ko.computed(function () {
             const printer = setup.header().printer;
             if (printer && printer.volume_mm && !self.points.peek().length) {
-                bedCorners(printer).forEach(function (mm, index) { self.addPoint(MOOP.words.say(CORNERS[index]), mm); });
+                self.bed = JSON.stringify(printer.volume_mm);
+                const mine = setup.draft.bed === self.bed && setup.draft.points; // clicks on another printer's bed are not
+                const begun = mine || bedCorners(printer).map(function (mm, index) {
+                    return {name: MOOP.words.say(CORNERS[index]), mm: mm, px: null};
+                });
+                begun.forEach(function (point) { self.addPoint(point.name, point.mm, point.px); });
             }
         });
 
         self.choose = function (point) { self.current(self.points.indexOf(point)); };
         self.anotherPoint = function () {
-            self.addPoint(MOOP.words.say("another point"), ["", "", "0"]);
+            self.addPoint(MOOP.words.say("another point"), ["", "", "0"], null);
             self.current(self.points().length - 1);
         };
         self.forget = function () {
             self.points().forEach(function (point) { point.px(null); });
             self.current(0);
             self.found(null);
+            self.remember();
             self.showGuides();
+        };
+        /* Back in this step: with clicks that were made, their picture; else a new one. */
+        self.comeBack = function () {
+            if (self.clicked().length || self.found()) {
+                self.showPicture().fail(function (address) {
+                    if (address !== MOOP.Picture.OVERTAKEN) { // the server has begun anew
+                        self.open();
+                    }
+                });
+            } else {
+                self.open();
+            }
         };
         /* Takes the picture on which to click, and notes where the machine stands in it. */
         self.open = function () {
             setup.busy("picture");
             OctoPrint.plugins.moop.takePosePicture()
                 .done(function (answer) {
-                    setup.takeReference(answer.bed_reference_mm);
+                    setup.bed.takeReference(answer.bed_reference_mm);
                     self.points().forEach(function (point) { point.px(null); }); // they were on another picture
                     self.current(0);
                     self.found(null);
+                    self.remember();
                     self.showPicture();
                 })
                 .fail(setup.tell)
                 .always(function () { setup.busy(""); });
         };
         self.showPicture = function () {
-            setup.picture.open({frame: OctoPrint.plugins.moop.posePictureUrl()}, "plain").done(self.showGuides);
+            return setup.picture.open({frame: OctoPrint.plugins.moop.posePictureUrl()}, "plain").done(self.showGuides);
         };
         self.findFromPoints = function () {
-            self.find(OctoPrint.plugins.moop.poseFromPoints(self.askedPoints()));
+            self.find(OctoPrint.plugins.moop.poseFromPoints(self.askedPoints()), "points");
         };
         self.findFromMarkers = function () {
             let markers = null;
@@ -86,7 +107,7 @@
                 setup.trouble(MOOP.words.say("This is not what stands in a markers.json."));
                 return;
             }
-            self.find(OctoPrint.plugins.moop.poseFromMarkers(markers)).done(self.showPicture);
+            self.find(OctoPrint.plugins.moop.poseFromMarkers(markers), "pose").done(self.showPicture);
         };
         self.makeMarkers = function () {
             setup.busy("markers");
@@ -107,7 +128,7 @@
                 setup.picture.draw();
                 return;
             }
-            setup.printerHeader()
+            setup.bed.printer()
                 .then(function (printer) { return OctoPrint.plugins.moop.guides(printer, camera); })
                 .done(function (answer) {
                     self.lines(answer.lines);
@@ -116,12 +137,18 @@
                 .fail(setup.tell);
         };
         self.keep = function () {
-            setup.printerHeader()
+            const found = self.found();
+            setup.bed.printer()
                 .then(function (printer) {
-                    const camera = _.pick(self.found(), ["image_size_px", "K", "distortion", "model", "rvec", "tvec_mm"]);
-                    return setup.keep({printer: printer, camera: camera}, MOOP.words.say("The camera's place is kept."));
+                    const camera = _.pick(found, ["image_size_px", "K", "distortion", "model", "rvec", "tvec_mm"]);
+                    return setup.keep({
+                        printer: printer, camera: camera, name: self.name(), how: self.how, error_px: found.error_px
+                    }, MOOP.words.say("The camera's place is kept."));
                 })
-                .done(function () { self.found(null); })
+                .done(function () {
+                    self.found(null);
+                    self.name("");
+                })
                 .fail(setup.tell);
         };
         self.readFile = function (_model, event) {
@@ -132,13 +159,23 @@
         };
     }
 
-    SetupPlace.prototype.addPoint = function (name, mm) {
+    /* Clicks outlive a reload of the page; their picture is kept by the server. */
+    SetupPlace.prototype.remember = function () {
+        this.setup.remember({
+            bed: this.bed,
+            points: this.points().map(function (point) {
+                return {name: point.name, mm: [point.x(), point.y(), point.z()], px: point.px()};
+            })
+        });
+    };
+
+    SetupPlace.prototype.addPoint = function (name, mm, px) {
         this.points.push({
             name: name,
             x: ko.observable(String(mm[0])),
             y: ko.observable(String(mm[1])),
             z: ko.observable(String(mm[2])),
-            px: ko.observable(null)
+            px: ko.observable(px)
         });
     };
 
@@ -152,6 +189,7 @@
         if (next >= 0) {
             this.current(next);
         }
+        this.remember();
         this.setup.picture.draw();
     };
 
@@ -164,14 +202,15 @@
         });
     };
 
-    SetupPlace.prototype.find = function (request) {
+    SetupPlace.prototype.find = function (request, how) {
         const self = this;
         self.setup.busy("place");
         self.setup.saved("");
         return request
             .done(function (found) {
                 self.setup.trouble("");
-                self.setup.takeReference(found.bed_reference_mm);
+                self.setup.bed.takeReference(found.bed_reference_mm);
+                self.how = how;
                 self.found(found);
                 self.showGuides();
             })

@@ -54,6 +54,7 @@ $(function () {
         });
         self.failure = new MOOP.Failure(self);
         self.mender = new MOOP.Mender(self);
+        self.mesh = new MOOP.Mesh(self);
 
         // --- the state, in one line --------------------------------------------------------------------------------
 
@@ -143,6 +144,7 @@ $(function () {
             if (self.mayCalibrate() && self.cameraKnown() !== true) {
                 OctoPrint.plugins.moop.setup().done(function (header) { self.cameraKnown(Boolean(header.camera)); });
             }
+            self.mesh.load();
             OctoPrint.plugins.moop.checks()
                 .done(function (answer) {
                     self.view.checks(answer.checks);
@@ -199,6 +201,13 @@ $(function () {
                 self.addCheck(message.check);
             } else if (message.type === "failed" && words.failureStands(self.status())) { // not resumed meanwhile
                 self.failure.notify(message.check, message.action);
+            }
+        };
+        /* OctoPrint's assistant has shown our page: what it announces opens of itself. */
+        self.onWizardFinish = function () {
+            if (self.mayCalibrate() && document.getElementById("wizard_plugin_moop")) {
+                self.openTab();
+                self.mender.openSetup("camera");
             }
         };
         self.onStartupComplete = function () {

@@ -113,21 +113,24 @@
             return self.opened;
         }
         self.pictureKey = key;
-        self.loading(true);
-        self.opened = self.picture.open(addresses, self.show())
+        const opened = self.opened = self.picture.open(addresses, self.show())
             .done(function (found) {
                 self.hasMasks(found.masks);
                 self.note(self.options.note(check, found.masks));
             })
-            .fail(function () {
+            .fail(function (address) {
+                if (address === MOOP.Picture.OVERTAKEN) {
+                    return;
+                }
                 self.pictureKey = null;
                 self.hasMasks(false);
                 self.note(check
                     ? MOOP.words.say("This check's picture is no longer kept.")
                     : MOOP.words.say("The webcam gives no picture."));
             })
-            .always(function () { self.loading(false); });
-        return self.opened;
+            .always(function () { self.loading(opened !== self.opened); });
+        self.loading(opened.state() === "pending");
+        return opened;
     };
 
     View.prototype.drawPlot = function () {

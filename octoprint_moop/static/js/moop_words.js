@@ -270,6 +270,77 @@
         });
     }
 
+    function millimetres(value) {
+        return String(Math.round(10 * value) / 10);
+    }
+
+    /* What measuring the bed's motion is going to move: {from_mm, to_mm}. */
+    function bedMotionPlan(plan) {
+        return say(
+            "Z moves from %(z0)s to %(z1)s mm, Y from %(y0)s to %(y1)s mm; a picture is taken, and both move back. " +
+            "Nothing is heated. Make sure that nothing stands in the way.",
+            {
+                z0: millimetres(plan.from_mm.z),
+                z1: millimetres(plan.to_mm.z),
+                y0: millimetres(plan.from_mm.y),
+                y1: millimetres(plan.to_mm.y)
+            }
+        );
+    }
+
+    const MOTIONS = {
+        fixed: "Measured: the bed stands still.",
+        y: "Measured: the bed moves forwards and backwards, with Y.",
+        z: "Measured: the bed moves up and down, with Z."
+    };
+
+    function bedMotion(motion) {
+        return say(MOTIONS[motion] || motion);
+    }
+
+    const FOUND_BY = {pose: "from markers", points: "from clicked points", given: "taken over"};
+
+    /* A calibration that is kept, in one line: when, how, how exact. */
+    function calibration(kept) {
+        return joined([
+            (kept.made_at || "").slice(0, 16).replace("T", " "),
+            say(FOUND_BY[kept.how] || kept.how),
+            kept.error_px ? say("exact to %(px)s px", {px: kept.error_px.mean.toFixed(1)}) : ""
+        ]);
+    }
+
+    const DOING = {
+        picture: "Taking a picture …",
+        capture: "Looking for the board …",
+        lens: "Finding the lens; this may take a minute …",
+        place: "Finding the camera's place; this may take half a minute …",
+        markers: "Making the plate …",
+        move: "Moving and looking; this may take a minute …",
+        save: "Keeping it …"
+    };
+
+    /* What is being done, for whoever waits for it. */
+    function busy(what) {
+        return say(DOING[what] || "Working …");
+    }
+
+    function mesh(found) {
+        if (!found) {
+            return say("A 3D model for this job: none");
+        }
+        return found.use
+            ? say("Compared with the 3D model %(name)s", found)
+            : say("The 3D model %(name)s is attached, and not used", found);
+    }
+
+    function meshDetails(found) {
+        return say("%(name)s: %(size)s mm, %(triangles)s triangles.", {
+            name: found.name,
+            size: (found.size_mm || []).map(millimetres).join(" x "),
+            triangles: found.triangles
+        });
+    }
+
     /* The sentence in a refused request: the server's own where it sent one. */
     function refusal(request) {
         let message = "";
@@ -309,6 +380,12 @@
         megabytes: megabytes,
         pastVerdict: pastVerdict,
         replayed: replayed,
+        bedMotionPlan: bedMotionPlan,
+        bedMotion: bedMotion,
+        mesh: mesh,
+        meshDetails: meshDetails,
+        calibration: calibration,
+        busy: busy,
         refusal: refusal
     };
 
