@@ -58,7 +58,10 @@ def loaded_page(chromium: Any, server: DemoServer) -> Iterator[Any]:
     """OctoPrint's page with the administrator logged in, loaded once: a load takes longer than most tests."""
     page = chromium.new_context(viewport=WIDE).new_page()
     page.console_errors = []
-    page.on("console", lambda said: page.console_errors.append(said.text) if said.type == "error" else None)
+    page.on(
+        "console",
+        lambda said: page.console_errors.append(f"{said.text} {said.location}") if said.type == "error" else None,
+    )
     page.on("pageerror", lambda error: page.console_errors.append(str(error)))
     log_in(page, server.url, server.user, server.password)
     page.evaluate("document.querySelectorAll('style').forEach(style => style.dataset.kept = '1')")
