@@ -250,9 +250,9 @@ class MoopPlugin(
 
     def on_script(self, comm: Any, kind: str, name: str, *args: Any, **kwargs: Any) -> Any:
         if kind == "gcode" and name == "beforePrintResumed":
-            return self._watch.resuming_commands(), None
+            return self._watch.responder.resuming_commands(self._moop_settings), None
         if kind == "gcode" and name == "afterPrintPaused":
-            return None, self._watch.pausing_commands()
+            return None, self._watch.responder.pausing_commands(self._moop_settings)
         return None
 
     def permissions(self, *args: Any, **kwargs: Any) -> list[dict[str, Any]]:

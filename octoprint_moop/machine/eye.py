@@ -14,6 +14,7 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(30_000_000))
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import contextlib
+import errno
 import gzip
 import shutil
 import sys
@@ -21,12 +22,11 @@ import threading
 import time
 import traceback
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Callable
+from typing import IO, Any, Callable
 
 import cv2
 
 from ..core.errors import MoopError
-from ..core.expected.raster import CvRenderer
 from ..core.gcode.read import read_gcode
 from ..core.header import Header, Moment
 from ..core.inspection import Inspector
@@ -36,15 +36,13 @@ from ..core.view.usable import is_still
 from . import bench
 from .beginning import bare_ends
 from .bench import Answer
+from .lasting import LastingRenderer
 from .parking import read_modes
 from .pictures import decode, encode_mask
 from .pipe import receive, send
 from .recording import Recording
 from .renderers import open_renderer
 from .roads import MeshChoice, Road, find_road
-
-if TYPE_CHECKING:
-    from .gl import GlRenderer
 
 REBUILT_CHECKS = 300
 TELL_EVERY_S = 0.5
@@ -62,7 +60,7 @@ class Eye:
         self._inspector: Inspector | None = None
         self._road: Road | None = None
         self._renderer_stack = contextlib.ExitStack()
-        self._renderer: GlRenderer | CvRenderer | None = None
+        self._renderer: LastingRenderer | None = None
 
     def index(self, blobs: list[bytes], job: str, cache: str) -> Answer:
         """Get ready for a G-code file that will probably be printed, so that `open` is quick: layers, renderer."""
@@ -154,11 +152,14 @@ class Eye:
         return {}, []
 
     def pictures(self, blobs: list[bytes]) -> Answer:
-        """The masks of the last check as PNGs: seen, expected, ignored. No blobs where nothing could be compared."""
-        pictures = self._opened()[0].pictures
+        """The masks of the last check as PNGs: seen, expected, ignored. No blobs where nothing could be compared.
+
+        Answers renderer, which may be another one by now.
+        """
+        pictures, told = self._opened()[0].pictures, {"renderer": self._draw().name}
         if pictures is None:
-            return {}, []
-        return {}, [encode_mask(mask) for mask in (pictures.observed, pictures.expected, pictures.ignored)]
+            return told, []
+        return told, [encode_mask(mask) for mask in (pictures.observed, pictures.expected, pictures.ignored)]
 
     def close(self) -> None:
         self._renderer_stack.close()
@@ -166,10 +167,11 @@ class Eye:
     def _read(self, job: str, cache: str) -> Toolpath:
         return read_gcode(Path(job), cache_dir=Path(cache), progress=self._progress)
 
-    def _draw(self) -> GlRenderer | CvRenderer:
+    def _draw(self) -> LastingRenderer:
         if self._renderer is None:
-            self._renderer = open_renderer()
-            self._renderer_stack.enter_context(self._renderer)
+            first = open_renderer()
+            self._renderer_stack.enter_context(first)
+            self._renderer = LastingRenderer(first)
         return self._renderer
 
     def _opened(self) -> tuple[Inspector, Road]:
@@ -179,7 +181,9 @@ class Eye:
 
     def _learn_again(self, recording: Recording, said: dict[str, str]) -> None:
         inspector, road = self._opened()
-        for moment in recording.moments[-REBUILT_CHECKS:]:
+        known = recording.moments[-REBUILT_CHECKS:]
+        for number, moment in enumerate(known):
+            self._progress(number / len(known))
             with contextlib.suppress(MoopError):  # one damaged picture must not cost what the others teach
                 inspector.check(recording.frame(moment), road.moment(moment))
             if moment.frame in said:
@@ -227,6 +231,17 @@ def _step_back() -> None:
     cv2.setNumThreads(2)
 
 
+def _for_want_of_memory(error: BaseException | None) -> bool:
+    """Whether that is what an error comes from, whatever was made of it on its way."""
+    while error is not None:
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+            return True
+        if isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem:
+            return True
+        error = error.__context__
+    return False
+
+
 def main() -> int:
     questions = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
@@ -251,9 +266,15 @@ def main() -> int:
             try:
                 result, out = answer(eye, head["do"], blobs, head["arguments"])
                 send(answers, {"id": head["id"], "result": result}, out)
-            except MoopError as error:
-                send(answers, {"id": head["id"], "error": {"code": error.code, "message": str(error)}})
-            except Exception as error:  # a bug of ours: the server logs it, and the next question may go well
+            except BrokenPipeError:
+                raise
+            except Exception as error:
+                if _for_want_of_memory(error):  # this process ends: the next one begins with all that there is
+                    raise MemoryError(f"{type(error).__name__}: {error}") from None
+                if isinstance(error, MoopError):
+                    send(answers, {"id": head["id"], "error": {"code": error.code, "message": str(error)}})
+                    continue
+                # a bug of ours: the server logs it, and the next question may go well
                 trace = traceback.format_exc()
                 send(answers, {"id": head["id"], "bug": f"{type(error).__name__}: {error}", "traceback": trace})
     except BrokenPipeError:

@@ -86,6 +86,7 @@ class Holds:
     hand_over : called with each new hold, from a serial thread; must not block
     missed    : boundaries since the last hold that never came by as a line of the file
     refused   : why the last hold was impossible, "" where it was not
+    last_pos  : of the line of the file that came by last
     """
 
     def __init__(self, printer: Printer, hand_over: Callable[[Hold], None]) -> None:
@@ -98,6 +99,7 @@ class Holds:
         self._lock = threading.Lock()
         self.missed = 0
         self.refused = ""
+        self.last_pos = 0
 
     # --- for the watching thread ----------------------------------------------------------------------------------
 
@@ -189,6 +191,7 @@ class Holds:
 
     def line_queuing(self, command: str, file_pos: int) -> list[Any] | None:
         """What to send for this line of the file; None to leave it as it is."""
+        self.last_pos = file_pos
         if file_pos < self._next_pos:
             return None
         hold = self._take(file_pos)

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..core.settings import Settings
 from .parking import Modes
 from .recorder import Recorder
 
@@ -34,22 +35,6 @@ class Job:
     mesh: dict[str, Any] | None = None
     held: bool = True
     over: threading.Event = field(default_factory=threading.Event)
-
-
-@dataclass(frozen=True, eq=False)
-class Ahead:
-    """A file that is to be read before anybody prints it. unwanted: set where something else comes first."""
-
-    path: str
-    unwanted: threading.Event = field(default_factory=threading.Event)
-
-    def stamp(self) -> tuple[str, float, int]:
-        """What changes when the file does; all of it zero where there is no such file."""
-        try:
-            found = os.stat(self.path)
-        except OSError:
-            return self.path, 0.0, 0
-        return self.path, found.st_mtime, found.st_size
 
 
 @dataclass
@@ -83,9 +68,25 @@ class Print:
     frames: int = 0
     last_frame: str = ""
     switched_off: bool = False
-    blind_s: float = 0.0
     cancelled: dict[str, int] = field(default_factory=dict)
     said: dict[str, str] = field(default_factory=dict)
+
+    def header(self, settings: Settings) -> dict[str, Any]:
+        """A recording's header for this print, with the filament's colour as it is set."""
+        material = {
+            "hue_deg": [settings.hue_min_deg, settings.hue_max_deg],
+            "saturation_min": settings.saturation_min, "value_min": settings.value_min,
+        }  # fmt: skip
+        try:
+            size = os.stat(self.job.path or "").st_size
+        except OSError:  # deleted or renamed meanwhile
+            size = 0
+        file = "" if self.job.path is None else "job.gcode"
+        head = {"format": "moop-recording", "version": 1, "job": {"file": file, "bytes": size}}
+        if self.mesh is not None:
+            head["mesh"] = {"file": "model.stl", "layer_height_mm": self.mesh.get("layer_height_mm")}
+        taken = {"reference": self.reference[1]} if self.reference else {}
+        return {**head, **(self.job.header or {}), "material": material, **taken}
 
     def park_at_mm(self, wanted: str) -> tuple[float, float]:
         """Where to park: as wanted, or at the left edge of the bed, or at the right one where the print is at the left.

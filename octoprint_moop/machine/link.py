@@ -69,7 +69,8 @@ class EyeLink:
     ) -> tuple[dict[str, Any], list[bytes]]:
         """The eye's answer: JSON and bytes.
 
-        progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it
+        progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it; the time
+        allowed begins anew with each
         Raises the eye's own MoopError; EyeGone where it dies or is ended for taking longer than `timeout_s`;
         Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
         """
@@ -84,13 +85,17 @@ class EyeLink:
         deadline_s, told = time.monotonic() + timeout_s, None
         while not question.answered.wait(0.02 if interrupted is not None else min(0.5, timeout_s)):
             if interrupted is not None and interrupted.is_set():
+                child.owed = [(question, deadline_s), *child.owed]
                 raise Interrupted(f"Nobody waits any more for the answer to {do!r}.")
             if progress is not None and question.progress != told:
-                told = question.progress
+                told, deadline_s = question.progress, time.monotonic() + timeout_s
                 progress(told or 0.0)
             if time.monotonic() > deadline_s:
                 child.kill()
                 raise EyeGone(f"Looking took longer than {timeout_s:.0f} s and was given up.")
+            if child.is_late:
+                child.kill()
+                raise EyeGone("The process that looks at the pictures hung and was ended.")
             if not child.alive and not question.answered.wait(1.0):  # asked in the moment of its death
                 break
         if question.answer is None:
@@ -123,7 +128,11 @@ def _result(do: str, head: dict[str, Any], blobs: list[bytes]) -> tuple[dict[str
 
 
 class _Child:
-    """One life of the process, with the thread that writes its questions and reads its answers, one after the other."""
+    """One life of the process, with the thread that writes its questions and reads its answers, one after the other.
+
+    owed : questions whose answers nobody waits for any more, and when they are due; an eye that hangs on one of them
+    would keep all later ones waiting
+    """
 
     def __init__(self, module: str) -> None:
         # From the package's own parent folder, so that the same package is found however the server found it, and
@@ -138,7 +147,13 @@ class _Child:
         self.pid = self._process.pid
         self.alive = True
         self.questions: queue.SimpleQueue[_Question | None] = queue.SimpleQueue()
+        self.owed: list[tuple[_Question, float]] = []
         threading.Thread(target=self._converse, name="moop.eye", daemon=True).start()
+
+    @property
+    def is_late(self) -> bool:
+        self.owed = [(question, due_s) for question, due_s in self.owed if not question.answered.is_set()]
+        return any(time.monotonic() > due_s for _, due_s in self.owed)
 
     def kill(self) -> None:
         self.alive = False

@@ -10,7 +10,6 @@ import logging
 import queue
 import threading
 import time
-from collections import deque
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Callable
@@ -18,20 +17,19 @@ from typing import Any, Callable
 from ..core.errors import MoopError
 from ..core.settings import Settings
 from . import blindness
-from .acting import Actor
+from .ahead import READING_S, Ahead, Reading
 from .holds import BARE, Hold, Holds
-from .jobs import Ahead, Job, Print
+from .jobs import Job, Print
 from .ledger import Ledger
 from .link import EyeGone, EyeLink, Interrupted
 from .looks import Look, Looks
 from .parking import Modes
 from .recorder import Recorder
-from .resting import Resting
+from .responding import Responder
 from .webcam import Webcam
 
 log = logging.getLogger("octoprint.plugins.moop.watch")
 
-OPEN_TIMEOUT_S = 900.0
 REVIVALS = 5
 TICK_S = 2.0
 BY_HEIGHT_S = 60.0
@@ -55,19 +53,18 @@ class Watch:
         settings: Settings,
         ledger: Ledger,
     ) -> None:
-        """printer : OctoPrint's; what is used of it is said by the protocols in `holds` and `acting`"""
-        self._printer, self._eye = printer, eye
+        """printer : OctoPrint's; what is used of it is said by the protocols in `holds`, `acting` and `resting`"""
+        self._eye = eye
         self._recordings, self._cache = recordings, cache
         self._settings, self._ledger = settings, ledger
         self._mailbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self.holds = Holds(printer, lambda hold: self._mailbox.put(lambda: self._look(hold)))
         self._looks = Looks(self.holds, webcam, eye)
-        self._actor, self._resting = Actor(printer), Resting(printer)
+        self.responder = Responder(printer, ledger)
+        self._reading = Reading(eye, ledger, cache)
         self._print: Print | None = None
         self._job: Job | None = None
         self._paused = False
-        self._ahead: deque[Ahead] = deque()
-        self._read_last: tuple[str, float, int] | None = None
         self._idle_since_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="moop.watch", daemon=True)
 
@@ -84,15 +81,12 @@ class Watch:
 
     def job_expected(self, path: str) -> None:
         """A file that will probably be printed: read it ahead, so that the first layers are watched too."""
-        ahead = Ahead(path)
-        self._ahead.append(ahead)
+        ahead = self._reading.expect(path)
         self._mailbox.put(lambda: self._read_ahead(ahead))
 
     def job_started(self, job: Job) -> None:
         self._job, self._paused = job, False
-        for ahead in list(self._ahead):
-            if ahead.path != job.path:  # what prints now comes first
-                ahead.unwanted.set()
+        self._reading.make_way(job.path)
         self._mailbox.put(lambda: self._begin(job))
 
     def job_stopping(self, why: str, lost: bool = False) -> None:
@@ -113,18 +107,6 @@ class Watch:
     def job_resumed(self) -> None:
         self._paused = False
         self._mailbox.put(self._go_on)
-
-    @property
-    def paused_by_us(self) -> bool:
-        return bool(self._ledger.status["action"] == "pause")
-
-    def pausing_commands(self) -> list[str]:
-        """What is to be sent when the print has been paused, after OctoPrint's own script."""
-        return _lines(self._settings.gcode_paused) if self.paused_by_us else []
-
-    def resuming_commands(self) -> list[str]:
-        """What is to be sent before OctoPrint's own script when the print is resumed: first of all the heaters."""
-        return [*self._resting.reheating(), *_lines(self._settings.gcode_resumed)] if self.paused_by_us else []
 
     def apply(self, settings: Settings) -> None:
         self._mailbox.put(lambda: self._apply(settings))
@@ -150,9 +132,9 @@ class Watch:
 
     def command_sent(self, command: str) -> None:
         """Somebody, ourselves perhaps, sent a command; it may make the firmware skip an object from now on."""
-        name = self._actor.cancelled_by(command)
+        name, file_pos = self.responder.cancelled_by(command), self.holds.last_pos
         if name is not None:
-            self._mailbox.put(lambda: self._skip(name))
+            self._mailbox.put(lambda: self._skip(name, file_pos))
 
     # --- the thread -----------------------------------------------------------------------------------------------
 
@@ -172,7 +154,7 @@ class Watch:
     def _begin(self, job: Job) -> None:
         self._print = current = Print(job, job.mesh)
         self.holds.plan_none()
-        self._actor.begin()
+        self.responder.begin()
         self._ledger.begin(job.name)
         if job.mesh is None and (job.why_not or job.path is None):
             self._ledger.blind(blindness.NOT_LOCAL, job.why_not or "This print's file is not OctoPrint's own.")
@@ -185,7 +167,7 @@ class Watch:
             return
         if self._settings.record:
             budget_bytes = self._settings.recordings_mb * 1_000_000
-            current.recorder = Recorder(self._recordings, job.name, self._header(current), budget_bytes)
+            current.recorder = Recorder(self._recordings, job.name, current.header(self._settings), budget_bytes)
         self._open(current)
 
     def _open(self, current: Print, again: bool = False) -> None:
@@ -197,8 +179,8 @@ class Watch:
         again = again and current.ready
         try:
             result, _ = self._eye.ask(
-                "open", *current.reference[:1], timeout_s=OPEN_TIMEOUT_S, interrupted=current.job.over,
-                progress=self._read_so_far, job=None if job is None else str(job), header=self._header(current),
+                "open", *current.reference[:1], timeout_s=READING_S, interrupted=current.job.over,
+                progress=self._reading.so_far, job=None if job is None else str(job), header=current.header(self._settings),
                 settings=asdict(self._settings), mesh=current.mesh, cache=str(self._cache),
                 keep_as=str(packed) if packed is not None else None,
                 keep_mesh_as=str(folder / "model.stl") if folder is not None else None,
@@ -222,7 +204,7 @@ class Watch:
         for note in result["notes"]:
             log.info("%s: %s", current.job.name, note)
         if not again:
-            self._actor.begin(result["objects"], result["cancel_commands"])
+            self.responder.begin(result["objects"], result["cancel_commands"])
         self._plan(current)
         self._ledger.note(renderer=result["renderer"], layers=result["layers"], road=result["road"])
         if result["layers"]:
@@ -260,7 +242,7 @@ class Watch:
                 else:
                     current.looked_s = hold.since_s
                     looks = self._looks.check(current, hold, self._settings)
-                    self._act(looks[-1].check)
+                    self.responder.to_check(looks[-1].check, self._settings)
         except Interrupted as error:
             log.info("%s was not checked: %s", _named(hold), hold.dropped or error)
         except EyeGone as error:
@@ -291,25 +273,16 @@ class Watch:
         else:
             log.info("The head stands before the bed: no picture of it was taken here")
 
-    def _act(self, check: dict[str, Any]) -> None:
-        check["action"] = self._actor.act(check, self._settings.on_failed, self._settings.on_suspect)
-        if check["action"] != "none":
-            what = "Layer %d is " + check["verdict"] + ": %s Action: %s"
-            log.warning(what, check["layer"], check["reason"], check["action"])
-            self._acted(check["action"], check["reason"])
-
-    def _acted(self, action: str, reason: str) -> None:
-        if action == "pause":
-            self._resting.begin(self._settings.cool_after_min * 60, self._settings.bed_off_after_min * 60)
-        self._ledger.note(action=action, reason=reason)
-
     def _keep(self, current: Print, looks: list[Look], held_s: float) -> None:
         """After the release: keep the pictures, write the recording, tell everybody."""
         last = looks[-1]
         current.revivals, current.last_frame = 0, last.moment["frame"]
         check, pictures = last.check, {"frame.jpg": last.jpeg}
         try:
-            _, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over)
+            told, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over)
+            if told["renderer"] != self._ledger.status["renderer"]:
+                log.warning("The masks are drawn by %s from now on", told["renderer"])
+                self._ledger.note(renderer=told["renderer"])
             pictures.update(zip(("seen.png", "expected.png", "ignored.png"), masks))
         except MoopError as error:
             log.debug("No pictures of %s: %s", last.moment["frame"], error)
@@ -338,9 +311,9 @@ class Watch:
             return
         watching = self._ledger.status["watching"]
         if watching:
-            current.blind_s = 0.0
-        else:
-            self._mind_being_blind(current)
+            self.responder.to_seeing()
+        else:  # ticks come only while nothing else is to be done, so this is the least that it can be
+            self.responder.to_blindness(TICK_S, settings)
         if current.by_height and not self.holds.refused:
             self._look_by_height(current)
         elif not watching:
@@ -367,33 +340,17 @@ class Watch:
         else:
             self.holds.glance(self._settings.settle_s + GLANCE_S)
 
-    def _mind_being_blind(self, current: Print) -> None:
-        """A print that should be watched and is not: after a while the user is told, or the print is paused."""
-        settings, status = self._settings, self._ledger.status
-        if status["blind_code"] in blindness.WANTED or settings.on_blind == "none" or not self._printer.is_printing():
-            return
-        before_s = current.blind_s
-        current.blind_s += TICK_S  # ticks come only while nothing else is to be done, so this is the least it can be
-        if not before_s < settings.blind_min * 60 <= current.blind_s:
-            return
-        reason = f"Nobody has watched this print for {settings.blind_min:g} min. {status['blind']}"
-        log.warning("%s Action: %s", reason, settings.on_blind)
-        if settings.on_blind == "pause":
-            self._actor.pause()
-        self._acted(settings.on_blind, reason)
-        self._ledger.tell_unwatched()
-
     def _end(self, how: str) -> None:
         current, self._print = self._print, None
         self._idle_since_s = time.monotonic()
-        self._resting.end()
+        self.responder.end()
         if current is not None and current.recorder is not None:
             current.recorder.end(how)
         self._ledger.idle()
 
     def _go_on(self) -> None:
         """The user resumed the print. Where we had paused it, it is accepted as it stands: only what is new counts."""
-        self._resting.end()
+        self.responder.end()
         if self._ledger.status["action"] == "pause":
             self._settle_it("accept")
 
@@ -412,32 +369,15 @@ class Watch:
         except MoopError as error:
             log.info("Could not %s: %s", how, error)
 
-    def _skip(self, name: str) -> None:
+    def _skip(self, name: str, file_pos: int) -> None:
         if self._print is not None:
-            self._print.cancelled.setdefault(name, max(int(self._print.last_pos), 0))
+            self._print.cancelled.setdefault(name, file_pos)
 
     def _read_ahead(self, ahead: Ahead) -> None:
-        self._ahead.remove(ahead)
-        stamp = ahead.stamp()
-        if self._print is not None or ahead.unwanted.is_set() or (self._eye.pid and stamp == self._read_last):
-            return
         self._idle_since_s = time.monotonic()
-        try:
-            result, _ = self._eye.ask(
-                "index", timeout_s=OPEN_TIMEOUT_S, interrupted=ahead.unwanted, progress=self._read_so_far,
-                job=ahead.path, cache=str(self._cache),
-            )  # fmt: skip
-            self._read_last = stamp
-            self._ledger.note(renderer=result["renderer"])
-        except Interrupted:
-            self._eye.close()  # it would go on reading
-        except MoopError as error:
-            log.info("%s: %s", ahead.path, error)
-        finally:
-            self._ledger.note(reading=None)
-
-    def _read_so_far(self, ratio: float) -> None:
-        self._ledger.note(reading=ratio)
+        if self._print is not None:  # what prints needs the eye, and the machine
+            ahead.unwanted.set()
+        self._reading.read(ahead)
 
     def _apply(self, settings: Settings) -> None:
         before, self._settings = self._settings, settings
@@ -476,35 +416,12 @@ class Watch:
             return
         current.mesh = mesh
         if current.recorder is not None:
-            current.recorder.renew(self._header(current))
+            current.recorder.renew(current.header(self._settings))
         if current.job.path is None and mesh is None:
             self.holds.plan_none()
             self._ledger.blind(blindness.NOT_LOCAL, current.job.why_not)
         else:
             self._open(current, again=current.ready)
-
-    def _header(self, current: Print) -> dict[str, Any]:
-        settings = self._settings
-        material = {
-            "hue_deg": [settings.hue_min_deg, settings.hue_max_deg],
-            "saturation_min": settings.saturation_min, "value_min": settings.value_min,
-        }  # fmt: skip
-        try:
-            size = Path(current.job.path or "").stat().st_size
-        except OSError:  # deleted or renamed meanwhile
-            size = 0
-        file = "" if current.job.path is None else "job.gcode"
-        head = {"format": "moop-recording", "version": 1, "job": {"file": file, "bytes": size}}
-        if current.mesh is not None:
-            head["mesh"] = {"file": "model.stl", "layer_height_mm": current.mesh.get("layer_height_mm")}
-        taken = {"reference": current.reference[1]} if current.reference else {}
-        return {**head, **(current.job.header or {}), "material": material, **taken}
-
-
-def _lines(gcode: str) -> list[str]:
-    """The commands of a setting, without comments."""
-    commands = (line.split(";")[0].strip() for line in gcode.splitlines())
-    return [command for command in commands if command]
 
 
 def _named(hold: Hold) -> str:

@@ -224,7 +224,7 @@ class Room:
         if from_pos:
             self.wait("selected", lambda: self.server.api("GET", "/api/job")["job"]["file"]["name"] == name)
             self.server.api("POST", "/api/plugin/spy", json={"command": "start_from", "pos": from_pos})
-        self.wait("the print is noticed", lambda: self.status["job"] == name)
+        self.wait("the print is noticed", lambda: self.status["job"] == name and self.status["blind_code"] != "idle")
         return path
 
     def reconnect(self, **virtual_printer: Any) -> None:

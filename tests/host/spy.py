@@ -1,9 +1,13 @@
-"""A single-file plugin for the tests' server: writes down what was sent, and starts prints where REST has no way to."""
+"""A single-file plugin for the tests' server: writes down what was sent, starts prints where REST has no way to, and
+holds the print for pictures of its own where a test wants that."""
 
 import json
 import os
+import threading
+import time
 
 import octoprint.plugin
+from octoprint.webcams import get_snapshot_webcam
 
 
 class Spy(octoprint.plugin.SimpleApiPlugin):
@@ -14,14 +18,38 @@ class Spy(octoprint.plugin.SimpleApiPlugin):
     def on_sent(self, comm, phase, cmd, cmd_type, gcode, subcode=None, tags=None, *args, **kwargs):
         self._sent.write(json.dumps([cmd, sorted(tags or ())]) + "\n")
 
+    def on_queuing(self, comm, phase, cmd, cmd_type, gcode, subcode=None, tags=None, *args, **kwargs):
+        """As plugins for timelapses do: hold, take a picture, let go."""
+        if self._stabilises and " Z" in cmd and self._printer.set_job_on_hold(True, blocking=False):
+            threading.Thread(target=self._snap, daemon=True).start()
+
+    def _snap(self):
+        try:
+            webcam = get_snapshot_webcam()
+            self._snapped += len(b"".join(webcam.providerPlugin.take_webcam_snapshot(webcam.config.name))) > 0
+            time.sleep(0.2)
+        finally:
+            self._printer.set_job_on_hold(False)
+
+    _stabilises, _snapped = False, 0
+
     def is_api_protected(self):
         return True
 
     def get_api_commands(self):
-        return {"start_from": ["pos"]}
+        return {"start_from": ["pos"], "stabilise": ["on"]}
 
     def on_api_command(self, command, data):
-        self._printer.start_print(pos=data["pos"])
+        if command == "start_from":
+            self._printer.start_print(pos=data["pos"])
+        else:
+            self._stabilises = data["on"]
+
+    def on_api_get(self, request):
+        import flask
+
+        moop = self._plugin_manager.get_helpers("moop")
+        return flask.jsonify(snapped=self._snapped, status=moop["status"](), check_now=moop["check_now"]())
 
 
 __plugin_name__ = "Spy"
@@ -31,4 +59,7 @@ __plugin_pythoncompat__ = ">=3.9,<4"
 def __plugin_load__():
     global __plugin_implementation__, __plugin_hooks__
     __plugin_implementation__ = Spy()
-    __plugin_hooks__ = {"octoprint.comm.protocol.gcode.sent": __plugin_implementation__.on_sent}
+    __plugin_hooks__ = {
+        "octoprint.comm.protocol.gcode.queuing": __plugin_implementation__.on_queuing,
+        "octoprint.comm.protocol.gcode.sent": __plugin_implementation__.on_sent,
+    }

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import resource
 import shutil
 import signal
 import time
 from pathlib import Path
 
 import pytest
+
+from octoprint_moop.core.gcode.read import read_gcode
 
 from .room import box_gcode
 from .test_faults import eye_pids
@@ -141,6 +146,111 @@ def test_a_file_that_extrudes_nothing_is_printed_and_said_not_to_be_watched(room
     room.server.wait_state({"Operational"}, 20)
     assert room.status["checks"] == 0
     assert not room.status["watching"]
+
+
+def test_another_plugin_that_holds_the_print_for_its_own_pictures_does_not_matter(room):
+    """As stabilised timelapses are made: both hold at the same layers, and the print goes on when both have let go."""
+    room.server.api("POST", "/api/plugin/spy", json={"command": "stabilise", "on": True})
+    try:
+        watched_well(room, 5)
+        assert room.server.api("GET", "/api/plugin/spy")["snapped"] >= 4
+    finally:
+        room.server.api("POST", "/api/plugin/spy", json={"command": "stabilise", "on": False})
+
+
+def test_other_plugins_are_helped(room):
+    helped = room.server.api("GET", "/api/plugin/spy")
+    assert helped["status"]["blind_code"] == "idle" and helped["check_now"] is False
+
+
+def test_layers_of_less_than_a_second_are_each_looked_at(room):
+    began_s = time.monotonic()
+    path = room.print("G4 P1500\n" + box_gcode(layers=8, side_mm=8, lines_per_side=1))
+    room.wait_done()
+    assert time.monotonic() - began_s < 30
+    assert [check["layer"] for check in room.checks] == list(range(8))
+    times_s = [moment["time_s"] for moment in moments(room)]
+    assert min(late - early for early, late in zip(times_s, times_s[1:])) < 1.0
+    assert room.sent_of_file() == path.read_text().splitlines()
+
+
+def test_a_tool_change_and_a_filament_change_in_the_file_lose_nothing(room):
+    """M600 makes the firmware pause and wait for its user, whom M876 is told by."""
+    lines = box_gcode(layers=6).splitlines()
+    ends = [n for n, line in enumerate(lines) if " Z" in line and "F12000" in line]
+    lines.insert(ends[4], "M600")
+    lines[ends[2] : ends[2]] = ["T1", "T0"]
+    room.print("\n".join(lines) + "\n")
+    room.server.wait_state({"Paused"}, 30)
+    assert room.status["action"] == "none"
+    room.server.api("POST", "/api/printer/command", json={"command": "M876 S0"})
+    room.server.api("POST", "/api/printer/command", json={"command": "!!DEBUG:unbusy"})
+    room.command(command="pause", action="resume")
+    room.wait_done()
+    assert [check["layer"] for check in room.checks] == list(range(6))
+    assert {check["verdict"] for check in room.checks} == {"ok"}
+    lines.remove("T1")  # of which OctoPrint knows that this printer has none
+    assert room.sent_of_file() == lines
+
+
+def test_one_layer_that_takes_long_is_looked_at_by_the_clock(room, saved):
+    """A vase, or one layer over the whole bed: there is no layer's end to look at, but each line's state is known."""
+    saved(longest_s=1, every_layers=1000)
+    turns, lines = 6, ["G21", "G90", "M83", "G28", "G4 P1500", "G1 X120.000 Y100.000 Z0.300 F6000"]
+    steps = 40 * turns
+    for step in range(1, steps + 1):
+        angle, z = 2 * math.pi * step / 40, 0.3 + 0.3 * step / 40
+        lines.append(f"G1 X{100 + 20 * math.cos(angle):.3f} Y{100 + 20 * math.sin(angle):.3f} Z{z:.4f} E0.15 F300")
+    path = room.print("\n".join(lines) + "\n")
+    room.wait_done(120)
+    between = [moment for moment in moments(room) if moment["file_pos"] not in layer_ends(path)]
+    assert len(between) >= 2
+    assert {check["verdict"] for check in room.checks} <= {"ok", "suspect"}
+    assert room.status["action"] == "none"
+    assert room.sent_of_file() == path.read_text().splitlines()
+
+
+def moments(room) -> list[dict]:
+    """Those of the newest recording."""
+    name = room.moop("GET", "recordings")["recordings"][0]["name"]
+    lines = (room.server.basedir / "data/moop/recordings" / name / "frames.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def layer_ends(path: Path) -> set[int]:
+    return set(read_gcode(path).layer_end_pos.tolist())
+
+
+def test_an_eye_without_memory_ends_and_another_one_goes_on(room):
+    from benchmarks.host_stall import large_gcode
+
+    path = room.folder / "memory.gcode"
+    path.write_text("; one more\n" + large_gcode(60_000))
+    room.webcam.look_at(path)
+    before = set(eye_pids(room))
+    for pid in before:
+        resource.prlimit(pid, resource.RLIMIT_AS, (1 << 20, resource.RLIM_INFINITY))
+    room.server.upload(path)
+    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name)
+    now = set(eye_pids(room))
+    for pid in before & now:  # that of the set-up
+        resource.prlimit(pid, resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    assert before - now and now - before, "it is another one"
+    assert room.wait_checks(1)[0]["verdict"] == "ok"
+    assert "MemoryError" in room.server.log_text()
+
+
+def test_an_eye_that_is_killed_while_it_reads_is_started_again(room):
+    from benchmarks.host_stall import large_gcode
+
+    path = room.folder / "killed.gcode"
+    path.write_text("; another\n" + large_gcode(250_000))
+    room.webcam.look_at(path)
+    room.server.upload(path)
+    room.wait("reading", lambda: room.status["reading"] is not None)
+    for pid in eye_pids(room):
+        os.kill(pid, signal.SIGKILL)
+    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name)
 
 
 def test_many_prints_in_a_row_leave_nothing_behind(room):

@@ -55,6 +55,19 @@ def test_an_eye_that_hangs_is_ended_in_time_even_while_a_large_picture_is_handed
         os.kill(first, 0)
 
 
+def test_an_eye_that_hangs_on_what_nobody_wants_any_more_does_not_keep_the_next_waiting(eye):
+    eye.ask("echo", timeout_s=10)
+    unwanted = threading.Event()
+    unwanted.set()
+    with pytest.raises(Interrupted):
+        eye.ask("hang", timeout_s=1, interrupted=unwanted)
+    began_s = time.monotonic()
+    with pytest.raises(EyeGone):
+        eye.ask("echo", timeout_s=300)
+    assert time.monotonic() - began_s < 10
+    assert eye.ask("echo", timeout_s=10, x=4)[0] == {"x": 4}
+
+
 def test_how_far_it_is_is_told_before_the_answer(eye):
     told, never = [], threading.Event()
     assert eye.ask("count", timeout_s=10, interrupted=never, progress=told.append, x=1)[0] == {"x": 1}
