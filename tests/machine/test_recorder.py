@@ -42,7 +42,8 @@ def test_what_is_written_can_be_read(tmp_path):
     assert [moment.layer for moment in recording.moments] == [0, 1, 2]
     (only,) = kept(tmp_path)
     assert only.to_json() == {"name": folder.name, "bytes": only.bytes, "job": "cube.gcode", "checks": 3,
-                              "verdict": "failed", "mode": "detachment", "layer": 2, "ended": "done", "keep": False}  # fmt: skip
+                              "verdict": "failed", "mode": "detachment", "layer": 2, "ended": "done",
+                              "keep": False}  # fmt: skip
 
 
 def test_a_power_cut_in_the_middle_of_a_line_leaves_a_readable_recording(tmp_path):
