@@ -1,6 +1,7 @@
 """How fast G-code is read, and in how much memory: `python benchmarks/gcode.py FILE.gcode …`.
 
-Prints JSON. The speed is CPU time against OctoPrint's own gcodeInterpreter on the same file, in turns within one run
+Prints JSON; `--write` keeps it as benchmarks/results/gcode.json and puts the table into docs/rendering.md. Files smaller than
+`--speed-mb` are repeated to that size. The speed is CPU time against OctoPrint's own gcodeInterpreter on the same file, in turns within one run
 (the ratio of medians; absolute times belong to the machine). The memory is the peak of a fresh process that reads the
 file's body repeated to `--copies-mb`, without and with a cache, and then from the cache.
 """
@@ -16,10 +17,11 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Callable
+from typing import Any, Callable
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.tables import ROOT, put, save, table
 from octoprint_moop.core.gcode.read import read_gcode
 
 ONE_READING = """
@@ -90,16 +92,34 @@ def main() -> None:
     parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--copies-mb", type=float, default=100.0)
+    parser.add_argument("--speed-mb", type=float, default=10.0)
+    parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
-    print(
-        json.dumps(
-            {
-                "speed": [compared(path, arguments.runs) for path in arguments.files],
-                "memory": memory(arguments.files[0], arguments.copies_mb),
-            },
-            indent=1,
-        )
-    )
+    speed = []
+    with tempfile.TemporaryDirectory() as folder:
+        for path in arguments.files:
+            measured = path
+            if path.stat().st_size < arguments.speed_mb * 1e6:
+                measured = Path(folder) / path.name
+                repeated(path, arguments.speed_mb, measured)
+            speed.append(compared(measured, arguments.runs))
+    figures = {"speed": speed, "memory": memory(arguments.files[0], arguments.copies_mb)}
+    print(json.dumps(figures, indent=1))
+    if arguments.write:
+        save("gcode", f"python benchmarks/gcode.py --runs {arguments.runs} --write FILE.gcode …", "none", figures)
+        put(ROOT / "docs" / "rendering.md", "gcode", as_tables(figures))
+
+
+def as_tables(figures: dict[str, Any]) -> str:
+    speed = table(
+        ["file, repeated", "MB", "MOOP, s of CPU", "MB/s", "OctoPrint's gcodeInterpreter, s", "times less"],
+        [[row["file"], row["megabytes"], row["moop_cpu_s"], row["moop_mb_per_s"], row["octoprint_cpu_s"], row["times_less_cpu"]]
+         for row in figures["speed"]],
+    )  # fmt: skip
+    found = figures["memory"]
+    ways = {"no_cache": "without a cache", "building_cache": "making the cache", "from_cache": "from the cache"}
+    memory_rows = [[f"{found['megabytes']} MB, {words}", found[way]["cpu_s"], found[way]["peak_mb"]] for way, words in ways.items()]
+    return speed + "\n\n" + table(["a fresh process reads", "s of CPU", "peak memory, MB"], memory_rows)
 
 
 if __name__ == "__main__":

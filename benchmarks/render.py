@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import statistics
 import sys
 import time
@@ -25,6 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.tables import ROOT, put, save, table
 from octoprint_moop.core.camera import BedMotion, Camera
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.expected.views import ExpectedViews, MaskRenderer
@@ -239,15 +239,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--most", type=int, default=3_000_000, help="largest print")
     parser.add_argument("--repeat", type=int, default=5, help="turns of each measurement")
+    parser.add_argument("--write", action="store_true", help="keep the figures, and put table and plot into docs")
     parser.add_argument("--plot", type=Path, help="also draw how cost grows, as SVG")
     options = parser.parse_args()
     with open_renderer() as renderer:
         renderers: list[MaskRenderer] = [renderer]
         if not isinstance(renderer, CvRenderer):
             renderers.append(CvRenderer())
-        result = {
-            "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version(),
-                        "numpy": np.__version__, "opencv": cv2.__version__},
+        result: dict[str, Any] = {
+            "load_average": os.getloadavg()[0],
             "renderers": [one.name for one in renderers],
             "birth_map": growth(renderers, options.most, options.repeat),
             "mask_at_a_position": at_a_position(renderer, options.repeat),
@@ -257,6 +257,24 @@ def main() -> None:
     print()
     if options.plot:
         options.plot.write_text(plot(result["renderers"], result["birth_map"]), encoding="utf-8")
+    if options.write:
+        save("render", f"python benchmarks/render.py --repeat {options.repeat} --write", "none", result)
+        put(ROOT / "docs" / "rendering.md", "render", as_table(result))
+        (ROOT / "docs" / "images" / "render-cost.svg").write_text(
+            plot(result["renderers"], result["birth_map"]), encoding="utf-8"
+        )
+
+
+def as_table(result: dict[str, Any]) -> str:
+    """Processor time of one birth map, and in brackets for a bead."""
+    sizes = list(SIZES_PX)
+    names = [(name, size) for name in result["renderers"] for size in sizes]
+    rows = []
+    for count in sorted({row["beads"] for row in result["birth_map"]}):
+        found = {row["size"]: row for row in result["birth_map"] if row["beads"] == count}
+        cells = [found[size][name] for name, size in names]
+        rows.append([f"{count:,}", *(f"{c['processor_ms']:.0f} ms ({c['processor_us_per_bead']:.2f} µs)" for c in cells)])
+    return table(["beads", *(f"{name.split(' (')[0]}, {size}" for name, size in names)], rows)
 
 
 if __name__ == "__main__":
