@@ -14,13 +14,14 @@ import io
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO, Callable, Union, cast
+from typing import BinaryIO, Callable, NamedTuple, Union, cast
 
 import numpy as np
 
 from ..errors import GcodeError
 from ..toolpath import Toolpath
 from .cache import Cache
+from .dialects import meaning_of
 from .finish import assemble
 from .interpreter import Interpreter
 from .rows import OTHER, Lines, split
@@ -31,6 +32,7 @@ CHUNK_BYTES = 1 << 19
 HEAD_BYTES = 1 << 18
 LONGEST_LINE_BYTES = 1 << 20
 SHORT_RUN = 24  # rows; for fewer the interpreter is quicker than numpy
+_SEMICOLON = ord(";")
 LEAST_E_VALUES = 8  # fewer extruding moves do not tell absolute from relative E
 BOM = b"\xef\xbb\xbf"
 
@@ -189,29 +191,27 @@ class _Reader:
             ends += _drift(chunk, lines)
         self.position = self.machine.read_bytes = int(ends[-1])
         run = _Chunk(chunk, lines, ends)
-        begin, waiting = 0, []
-        for i in np.flatnonzero((lines.kind == OTHER) & (lines.end > lines.start)).tolist():
-            raw = run.raw(i)
-            if _STATELESS.match(raw) and not self._tells_whose(raw):
-                waiting.append(i)
+        begin, waiting, machine = 0, _Waiting([], []), self.machine
+        own = machine.own_gcode
+        others = np.flatnonzero((lines.kind == OTHER) & (lines.end > lines.start))
+        for i, start, end in zip(others.tolist(), lines.start[others].tolist(), lines.end[others].tolist()):
+            raw = chunk[start:end]
+            stateless = raw[0] == _SEMICOLON or _STATELESS.match(raw)
+            # After some comments filament is fed by another than before, see `Interpreter.own_gcode`.
+            if stateless and not (_may_begin(raw) if own else b"ustom" in raw):
+                waiting.lines.append(i)
+                waiting.raw.append(raw)
                 continue
             self._run(run, begin, i, waiting)
-            self.machine.run(run.text(i), run.end(i))
-            begin, waiting = i + 1, []
+            machine.run(run.text(i), run.end(i))
+            begin, waiting, own = i + 1, _Waiting([], []), machine.own_gcode
         self._run(run, begin, len(ends), waiting)
 
-    def _tells_whose(self, raw: bytes) -> bool:
-        """A comment after which filament may be fed by another than before, see `Interpreter.own_gcode`."""
-        if self.machine.own_gcode:
-            word = raw.lower()
-            return b"layer" in word or raw.startswith((b";TYPE:", b"; FEATURE:", b"; feature"))
-        return b"ustom" in raw
-
-    def _run(self, run: _Chunk, begin: int, end: int, waiting: list[int]) -> None:
+    def _run(self, run: _Chunk, begin: int, end: int, waiting: _Waiting) -> None:
         """Execute lines [begin, end), of which those `waiting` are no rows but change no mode either."""
         machine, first, last = self.machine, *run.rows(begin, end)
         if last == first:
-            run.interpret(machine, waiting)
+            run.interpret(machine, waiting.lines)
             return
         walk = None
         if last - first >= SHORT_RUN:
@@ -221,10 +221,15 @@ class _Reader:
             return
         self._keep_interpreted()
         laid, tail_open, stops = machine.laid, machine.tail_open, []
-        for i in waiting:
-            row = int(run.lines.rows_before[i]) - first
-            machine.laid = laid + int(walk.beads_upto[row])
-            machine.tail_open = True
+        rows = run.lines.rows_before[np.array(waiting.lines, np.int64)] - first
+        beads = (laid + walk.beads_upto[rows]).tolist()
+        for i, raw, row, bead in zip(waiting.lines, waiting.raw, rows.tolist(), beads):
+            if raw[0] == _SEMICOLON:
+                meanings = meaning_of(raw)
+                if meanings:
+                    machine.said.take(meanings, bead)
+                continue
+            machine.laid, machine.tail_open = bead, True
             machine.run(run.text(i), run.end(i))
             if not machine.tail_open:
                 stops.append(row)
@@ -236,6 +241,13 @@ class _Reader:
         path, end_pos = self.machine.take()
         self.beads.append(path)
         self.end_pos.append(end_pos)
+
+
+class _Waiting(NamedTuple):
+    """Lines that are no rows but change no mode either: their numbers, and their bytes."""
+
+    lines: list[int]
+    raw: list[bytes]
 
 
 class _Chunk:
@@ -261,6 +273,11 @@ class _Chunk:
     def interpret(self, machine: Interpreter, lines: Iterable[int]) -> None:
         for i in lines:
             machine.run(self.text(i), self.end(i))
+
+
+def _may_begin(raw: bytes) -> bool:
+    """A comment that may name the first layer or feature, with which the slicer's own moves begin."""
+    return b"layer" in raw.lower() or raw.startswith((b";TYPE:", b"; FEATURE:", b"; feature"))
 
 
 def _lengthened(raw: bytes) -> int:

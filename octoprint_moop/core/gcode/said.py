@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 
-from .dialects import Declared, Feature, Height, Label, Layer, Slicer, Width, meaning
+from .dialects import Declared, Feature, Height, Label, Layer, Meaning, Slicer, Width, meaning
 
 TAKEN_BACK = -1  # in place of a file position: the cancelling of an object, or of all of them, is undone
 NOT_SAID = -1.0  # role, width or height that no comment has told yet
@@ -55,7 +55,11 @@ class Said:
 
     def comment(self, text: str, bead: int) -> None:
         """Take note of a comment, the text after the semicolon."""
-        for said in meaning(text):
+        self.take(meaning(text), bead)
+
+    def take(self, meanings: tuple[Meaning, ...], bead: int) -> None:
+        """Take note of what a comment means."""
+        for said in meanings:
             if isinstance(said, Width):
                 self.width.at(bead, said.mm)
             elif isinstance(said, Height):
