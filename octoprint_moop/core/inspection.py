@@ -206,7 +206,8 @@ class Inspector:
         observed = seen.mask
         hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
-        doubtful = expected.head & cv2.bitwise_not(observed & expected.mask)
+        told = observed if moment.parked else observed | view.clearance.free(window, moment.position_mm)
+        doubtful = expected.head & cv2.bitwise_not(told & expected.mask)
         ignored = steady.outside | window.from_small(hidden) | doubtful | seen.unsure | expected.ignored
         self._shown = lambda: Pictures(
             steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
@@ -247,6 +248,8 @@ class Inspector:
         assert ruling is not None
         if ruling.teaches:
             memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
+            if not moment.parked:
+                view.clearance.learn(window, moment.position_mm, observed & expected.mask & expected.head)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:

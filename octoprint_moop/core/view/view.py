@@ -20,6 +20,7 @@ from ..segmentation.adaptive import AdaptiveSegmenter
 from ..segmentation.segment import HsvThresholds, Observation, Segmenter, ThresholdSegmenter
 from ..toolpath import Toolpath
 from .backdrop import Backdrop
+from .clearance import Clearance
 from .glance import Glance
 from .light import LightChange
 from .stabilise import STILL, CameraTurn, Stabiliser
@@ -111,6 +112,7 @@ class View:
         self._bare_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
         self._bare_position_mm = printer.bed.reference_mm if reference_mm is None else reference_mm
         self._material, self._segmentation = material, segmentation
+        self.clearance = Clearance(camera, printer.bed)
         self._previous_bgr: np.ndarray | None = None
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
