@@ -23,6 +23,7 @@ from octoprint_moop.machine.recording import Recording
 FAULTS = (
     "extrusion", "under_extrusion", "detachment", "tip_over", "layer_shift", "warping", "spaghetti", "sagging", "blob",
 )  # fmt: skip
+FIRST_LAYER_FAULTS = ("nothing", "dragged", "one_missing")  # from the print's first bead on
 NUISANCES = (
     "dim", "uneven", "white_balance", "gamma", "nudge", "knock", "hand", "head", "alike", "jpeg", "hairs", "black", "frozen",
 )  # fmt: skip
@@ -101,14 +102,14 @@ class Story:
     def __post_init__(self) -> None:
         self._rng = rng = np.random.default_rng([self.seed, 1])
         count = len(self.base.moments)
-        if self.fault and not self.onset:
+        if self.fault and not self.onset and self.fault not in FIRST_LAYER_FAULTS:
             self.onset = int(rng.integers(3, max(4, count - 12)))
         labelled = len(self.base.toolpath.objects)
         if (
             self.fault
             and self.object_id is None
             and labelled > 1
-            and self.fault != "layer_shift"
+            and self.fault not in ("layer_shift", "nothing")
             and rng.random() < 0.9
         ):
             self.object_id = int(rng.integers(labelled))
@@ -126,8 +127,10 @@ class Story:
                 > 0
             )
         self._draws = {
-            key: np.random.default_rng([self.seed, 2, n]).random(8) for n, key in enumerate((*FAULTS, *NUISANCES))
+            key: np.random.default_rng([self.seed, 2, n]).random(8)
+            for n, key in enumerate((*FAULTS, *NUISANCES, *FIRST_LAYER_FAULTS))
         }
+        self._px = self.base.reference.shape[1] / 640  # a picture half as wide shows everything half as large
 
     def __len__(self) -> int:
         return len(self.base.moments)
@@ -151,6 +154,28 @@ class Story:
     @property
     def object_name(self) -> str | None:
         return None if self.object_id is None else self.toolpath.objects[self.object_id]
+
+    @property
+    def size_px(self) -> float | None:
+        """How large the fault is where that is a length: shift, lift, slide, radius."""
+        draws = self._draws.get(self.fault or "")
+        if self.fault == "layer_shift":
+            return float((6 + 20 * draws[1]) * self.strength * self._px)
+        if self.fault == "warping":
+            return float((7 + 12 * draws[2]) * self.strength * self._px)
+        if self.fault == "blob":
+            return float((8 + 14 * draws[1]) * self.strength * self._px)
+        if self.fault == "detachment":
+            return float((12 + 50 * draws[1]) * self.strength * self._px)
+        return None
+
+    @property
+    def px_per_mm(self) -> float:
+        """About, in the middle of the print."""
+        low, high = self.toolpath.bounds_mm()
+        middle = (low + high) / 2
+        depth_mm = float((self.base.camera.camera_from_room @ [*middle, 1.0])[2])
+        return float(self.base.camera.K[0, 0] / depth_mm)
 
     def moment(self, number: int) -> Moment:
         return self.base.moments[number]
@@ -219,7 +244,7 @@ class Story:
         rows, columns = np.nonzero(self._object(past))
         middle = (float(columns.mean()), float(rows.mean()))
         matrix = cv2.getRotationMatrix2D(middle, (draws[0] - 0.5) * 70 * self.strength, 1.0)
-        reach = (12 + 50 * draws[1]) * self.strength
+        reach = self.size_px
         matrix[:, 2] += reach * np.array([np.cos(6.28 * draws[2]), 0.6 * np.sin(6.28 * draws[2])])
         frame, mask = self._moved(frame, mask, past, matrix)
         return self._strands(number, frame, mask, draws[3:], 0.5 * draws[3]) if draws[4] > 0.4 else (frame, mask)
@@ -237,7 +262,7 @@ class Story:
         )
         upper = self.base.covered(self.base.moments[number], beads[self._body[beads]]) & mask
         past_frame, past_mask = self._frozen_at(self.onset - 1, frame, mask)
-        turn, reach = 1.57 * int(4 * draws[0]), (6 + 20 * draws[1]) * self.strength
+        turn, reach = 1.57 * int(4 * draws[0]), self.size_px
         matrix = np.array([[1, 0, reach * np.cos(turn + 0.5)], [0, 1, 0.6 * reach * np.sin(turn + 0.5)]])
         there = cv2.warpAffine(upper.astype(np.uint8) * 255, matrix, mask.shape[::-1]) > 127
         picture = cv2.warpAffine(frame, matrix, mask.shape[::-1])
@@ -248,7 +273,7 @@ class Story:
         rows, columns = np.nonzero(base if base.any() else self._object(number))
         at = [np.argmin(columns), np.argmax(columns), np.argmax(rows)][int(3 * draws[0])]
         rise = min(1.0, (number - self.onset + 1) / (1 + 12 * draws[1]))
-        lift = (7 + 12 * draws[2]) * self.strength * rise
+        lift = self.size_px * rise
         reach = 0.25 * (np.ptp(columns) + 1) + 5
         y, x = np.mgrid[: mask.shape[0], : mask.shape[1]].astype(np.float32)
         near = ((x - columns[at]) ** 2 + (y + lift * 0.5 - rows[at]) ** 2) / (2 * reach**2)
@@ -271,6 +296,8 @@ class Story:
         """Curled strands of the filament that grow with each layer."""
         rng = np.random.default_rng([self.seed, 5])
         own = self._object(number)
+        if not own.any():
+            return frame, mask
         rows, columns = np.nonzero(own)
         colours = self.base.frames[number][own]
         edge = np.argwhere(own & ~(cv2.erode(own.astype(np.uint8), np.ones((3, 3))) > 0))
@@ -306,12 +333,25 @@ class Story:
         own = self._object(self.onset)
         edge = np.argwhere(own & ~(cv2.erode(own.astype(np.uint8), np.ones((3, 3))) > 0))
         row, column = edge[int(draws[0] * len(edge))]
-        radius = (8 + 14 * draws[1]) * self.strength * min(1.0, 0.5 + 0.25 * (number - self.onset))
+        radius = self.size_px * min(1.0, 0.5 + 0.25 * (number - self.onset))
         lump = np.zeros(mask.shape, np.uint8)
         cv2.ellipse(lump, (int(column), int(row)), (max(int(radius), 2), max(int(radius * 0.8), 2)), 0, 0, 360, 255, -1)
         tone = np.median(self.base.frames[number][own], axis=0)
         depth = cv2.distanceTransform(lump, cv2.DIST_L2, 5)[..., None] / max(radius, 1)
         return np.where(lump[..., None] > 0, tone * (0.65 + 0.4 * depth), frame), mask | (lump > 0)
+
+    def _one_missing(self, number, frame, mask, draws):
+        """Nothing of it has stuck: the bed shows, and what the nozzle drags along is elsewhere."""
+        frame, mask = frame.copy(), mask & ~self._region
+        frame[self._region] = self.base.reference[self._region]
+        return frame, mask
+
+    _nothing = _one_missing
+
+    def _dragged(self, number, frame, mask, draws):
+        """Lines that came off at once and are dragged over the place."""
+        bare_frame, bare_mask = self._one_missing(number, frame, mask, draws)
+        return self._strands(number, bare_frame, bare_mask, draws, 0.7)
 
     # nuisances ------------------------------------------------------------------------------------------------------
 

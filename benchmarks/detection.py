@@ -4,8 +4,8 @@
     python benchmarks/detection.py table [benchmarks/results/detection.jsonl]
 
 `composited` puts faults and nuisances into the rendered recordings of `../shared/cases` (composited.py), `simulated`
-draws them with the demo's simulated webcam; `mixed` puts them into prints that this webcam painted at 320x240, and `clean`
-only nuisances, into half of the runs: each painted print serves VARIANTS runs, on beds that move and with the head in view
+draws them with the demo's simulated webcam; `mixed` puts them into prints that this webcam painted at 480x360, and `clean`
+only nuisances, at 320x240, into half of the runs: each painted print serves VARIANTS runs, on beds that move and with the head in view
 too. A run is drawn from its seed alone and written as one line of JSON, so that a benchmark that was
 stopped goes on where it was. The calibration handed to the check is wrong by up to 3 px in half of the runs.
 
@@ -32,7 +32,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.composited import FAULTS, NUISANCES, Base, Story
+from benchmarks.composited import FAULTS, FIRST_LAYER_FAULTS, NUISANCES, Base, Story
 from benchmarks.painted import PaintedStory
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, SUSPECT, UNUSABLE
@@ -45,11 +45,14 @@ SHARED = Path(os.environ.get("MOOP_SHARED", HERE.parents[1] / "shared"))
 KINDS = ("composited", "simulated", "mixed", "clean")
 RESULTS = HERE / "results" / "detection.jsonl"
 VISIBLE_E, VISIBLE_FRAMES = 0.015, 3
-VARIANTS, SMALL_PX = 6, (320, 240)
+VARIANTS = 6
+SMALL_PX = {"clean": (320, 240), "mixed": (480, 360)}
 RULES = ("moop", "jump", "blobs", "finished")
 RIGHT_MODES = {
     "extrusion": {"extrusion_failure"}, "under_extrusion": {"extrusion_failure"}, "detachment": {"detachment"},
     "tip_over": {"detachment"}, "layer_shift": {"layer_shift"}, "warping": {"warping"},
+    "nothing": {"extrusion_failure"}, "one_missing": {"extrusion_failure", "detachment"},
+    "dragged": {"extrusion_failure", "stray_material", "detachment"},
     "spaghetti": {"stray_material", "detachment"}, "sagging": {"stray_material"}, "blob": {"stray_material"},
 }  # fmt: skip
 
@@ -113,13 +116,15 @@ def drawn_story(kind: str, seed: int, bases: list[Base], rng: np.random.Generato
     count = 0 if seed % 2 else int(rng.choice([1, 1, 2]))
     fitting = [one for one in NUISANCES if kind == "clean" or one != "nudge"]
     nuisances = tuple(str(one) for one in rng.choice(fitting, size=count, replace=False))
-    fault = str(rng.choice(FAULTS)) if kind == "mixed" else None
+    fault = None
+    if kind == "mixed":
+        fault = str(rng.choice(FIRST_LAYER_FAULTS if rng.random() < 0.2 else FAULTS))
     return Story(base, seed, fault, nuisances, float(rng.choice([0.25, 0.5, 1.0, 1.5])))
 
 
 @lru_cache(maxsize=1)
 def painted_base(seed: int, still: bool) -> Base:
-    return PaintedStory.good(seed, SHARED / "data" / "gcode-zoo", SMALL_PX, still).painted()
+    return PaintedStory.good(seed, SHARED / "data" / "gcode-zoo", SMALL_PX["mixed" if still else "clean"], still).painted()
 
 
 def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
@@ -161,8 +166,9 @@ def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
         "mode": failed[1].mode if failed else None, "reason": failed[1].reason if failed else "",
         "named": [one["name"] for one in failed[1].objects if one["verdict"] == FAILED] if failed else [],
         "unusable": verdicts.count(UNUSABLE), "moved": verdicts.count(CAMERA_MOVED), "largest_E": max(errors),
+        "size_px": getattr(story, "size_px", None), "px_per_mm": getattr(story, "px_per_mm", None),
         "suspects": verdicts.count(SUSPECT), "failures": verdicts.count(FAILED), "bed": header.printer.bed.kind,
-        "parked": story.moment(0).parked, "size_px": list(header.camera().image_size_px),
+        "parked": story.moment(0).parked, "frame_px": list(header.camera().image_size_px),
         "ms": round(1000 * checks_s / len(verdicts), 1), "s": round(time.process_time() - began_s, 1),
     }  # fmt: skip
 
