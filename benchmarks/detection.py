@@ -35,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.composited import FAULTS, FIRST_LAYER_FAULTS, NUISANCES, Base, Story
 from benchmarks.painted import PaintedStory
 from octoprint_moop.core.camera import Camera
+from octoprint_moop.core.decision.course import Courses
 from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, SUSPECT, UNUSABLE
 from octoprint_moop.core.inspection import Check, Inspector
 from octoprint_moop.core.toolpath import Toolpath
@@ -140,13 +141,17 @@ def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
     x, y, w, h = print_px
     rivals = Rivals((slice(max(y - 20, 0), y + h + 20), slice(max(x - 20, 0), x + w + 20)))
     errors, verdicts, failed, began_s = [], [], None, time.process_time()
-    checks_s = 0.0
+    checks_s, sizes = 0.0, []
+    courses = Courses("medium")
     for number in range(len(story)):
         picture = story.picture(number)
         errors.append(float(np.count_nonzero(picture.mask != story.clean_mask(number)) / story.total_px(number)))
         before_s = time.process_time()
         check = inspector.check(picture.frame, story.moment(number))
         checks_s += time.process_time() - before_s
+        assert inspector.look is not None
+        ruling = courses.rule(inspector.look, story.moment(number))[1]
+        sizes.append(None if ruling is None else round(ruling.worst.leading.size, 2))
         if kind in ("composited", "simulated"):
             rivals.look(number, picture.frame, check, story.finished(number))
         verdicts.append(check.verdict)
@@ -167,7 +172,7 @@ def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
         "named": [one["name"] for one in failed[1].objects if one["verdict"] == FAILED] if failed else [],
         "unusable": verdicts.count(UNUSABLE), "moved": verdicts.count(CAMERA_MOVED), "largest_E": max(errors),
         "size_px": getattr(story, "size_px", None), "px_per_mm": getattr(story, "px_per_mm", None),
-        "suspects": verdicts.count(SUSPECT), "failures": verdicts.count(FAILED), "bed": header.printer.bed.kind,
+        "surprises": sizes, "suspects": verdicts.count(SUSPECT), "failures": verdicts.count(FAILED), "bed": header.printer.bed.kind,
         "parked": story.moment(0).parked, "frame_px": list(header.camera().image_size_px),
         "ms": round(1000 * checks_s / len(verdicts), 1), "s": round(time.process_time() - began_s, 1),
     }  # fmt: skip

@@ -28,6 +28,7 @@ from .view.view import MOVED_PX, View, moved_sentence
 NEAR_PX = 16  # how far about all that is expected and seen edges are looked for, and a little more
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
+HIDDEN_CHECKS = 2  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 
@@ -133,6 +134,7 @@ class Inspector:
         self._courses = Courses(settings.sensitivity)
         self._seen: dict[str | None, _Seen] = {}
         self._good_checks: dict[str | None, int] = {}
+        self._hidden_checks: dict[str | None, int] = {}
         self._shown: Callable[[], Pictures] | None = None
         self.look: Look | None = None
         """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
@@ -230,7 +232,10 @@ class Inspector:
         tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step
         sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer)
         findings = find(sight, memory)
-        if findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px):
+        hidden_now = findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px)
+        hidden_before = self._hidden_checks.get(moment.camera, 0)
+        self._hidden_checks[moment.camera] = hidden_before + 1 if hidden_now else 0
+        if hidden_now and hidden_before < HIDDEN_CHECKS:
             return self._blind(Look(comparison, UNUSABLE, HIDDEN), moment)
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)

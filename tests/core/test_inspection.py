@@ -152,3 +152,15 @@ def test_a_line_that_says_again_is_a_second_look_in_a_replay_too(detached):
     assert replace(offline.check(frames[1], Moment.from_json(line)), ms=0) == replace(
         live.confirm(frames[1], moment), ms=0
     )
+
+
+def test_what_seems_hidden_check_after_check_is_judged_in_the_end(detached, monkeypatch):
+    """A hand does not rest at one spot for layers: what was taken for hidden may as well be gone."""
+    from octoprint_moop.core import inspection
+
+    inspector, recording = inspected(detached, 8)
+    found = inspection.find
+    monkeypatch.setattr(inspection, "find", lambda *seen: replace(found(*seen), hidden_px=100_000))
+    verdicts = [inspector.check(recording.frame(moment), moment).verdict for moment in recording.moments[8:14]]
+    assert verdicts[:2] == ["unusable", "unusable"]
+    assert verdicts[2:4] == ["suspect", "failed"]  # it has come off at layer 10
