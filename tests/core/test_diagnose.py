@@ -85,3 +85,12 @@ def test_a_print_that_has_stopped_growing_amid_strands_is_not_called_a_clog():
     matter[120:124, 60:90] = True
     assert matter.shape == SHAPE
     assert named(23, matter, object_id=0).mode == "stray_material"
+
+
+def test_a_small_lift_that_also_looks_like_a_small_move_is_a_lift():
+    """Two millimetres to the side would lay bare as much: a print that has come off does not stop so soon."""
+    matter = walls(21)
+    matter[GROUND - 44 : GROUND, 90:96] = False
+    matter[GROUND - 44 : GROUND, 150:155] = True
+    found = named(21, matter, object_id=0)
+    assert found.mode == "warping"

@@ -24,6 +24,7 @@ GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays
 OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
+LEAST_MOVE_MM = 2.5
 LEAST_SHIFT_PX, LEAST_MOVE_PX = 2.0, 5.0  # a corner that lifts looks like a print that moved by less
 TURNS_DEG = (0, -8, 8, -16, 16, -25, 25)
 
@@ -89,6 +90,8 @@ def _old_moved(scope: _Scope, place: Place) -> Diagnosis:
     if gone and scope.stray_px < 0.15 * scope.lost_px:
         return Diagnosis(DETACHMENT, "The print is gone from its place.")
     move = scope.moved_whole()
+    if move and not gone and _distance_mm(place, move, 0.0) < LEAST_MOVE_MM:
+        move = None
     if gone or move:
         if not move:
             return Diagnosis(DETACHMENT, "The print has come off.")
@@ -235,9 +238,19 @@ def _middle(mask: np.ndarray) -> np.ndarray:
     return np.array([columns.mean(), rows.mean()]) if len(rows) else np.zeros(2)
 
 
+def _on_bed_mm(place: Place, move: _Move, z_mm: float) -> tuple[float, float]:
+    """How far to the right and to the back."""
+    right_mm, back_mm = np.diff(place.on_bed_mm(np.array([move.from_px, move.to_px]), z_mm), axis=0)[0]
+    return float(right_mm), float(back_mm)
+
+
+def _distance_mm(place: Place, move: _Move, z_mm: float) -> float:
+    return float(np.hypot(*_on_bed_mm(place, move, z_mm)))
+
+
 def _distance(place: Place, move: _Move, z_mm: float) -> str:
     """How far and where to, on the bed: "6 mm to the left"."""
-    right_mm, back_mm = np.diff(place.on_bed_mm(np.array([move.from_px, move.to_px]), z_mm), axis=0)[0]
+    right_mm, back_mm = _on_bed_mm(place, move, z_mm)
     ways = []
     for size_mm, other_mm, names in ((right_mm, back_mm, ("right", "left")), (back_mm, right_mm, ("back", "front"))):
         if abs(size_mm) > 0.4 * abs(other_mm):
