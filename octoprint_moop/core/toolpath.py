@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -85,6 +86,12 @@ class Toolpath:
         z of the lowest corner is the print height of the lowest bead's top.
         """
         return self._bounds_mm.copy()
+
+    def let_go(self) -> None:
+        """Take no memory for what is mapped from a file: what was read of it is read again when it is next asked for."""
+        for column in (self.beads_mm, self.end_pos, self.role, self.object_id):
+            if isinstance(column.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+                column.base.madvise(mmap.MADV_DONTNEED)
 
     @cached_property
     def _bounds_mm(self) -> np.ndarray:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from .jobtext import Text
+
 _MOVE = re.compile(rb"G0*[0-3](?![\d.])")
 _ACROSS = re.compile(rb"G0*[0-3](?![\d.]).*[XY]")
 # What neither moves the head nor waits for anything: it may stand between a travel and the bead that it leads to.
@@ -15,7 +17,7 @@ _STILL = re.compile(
 _FURTHEST_LINES = 400
 
 
-def bare_ends(text: bytes, first_end: int) -> list[int]:
+def bare_ends(text: Text, first_end: int) -> list[int]:
     """File positions just before the first bead, rising: where the travel to it begins, and where it ends.
 
     The head stands aside at the one or at the other: where the start code has left it, or where a line that primes the
@@ -36,7 +38,7 @@ def bare_ends(text: bytes, first_end: int) -> list[int]:
     return sorted({end for end in (departed, arrived) if end is not None})
 
 
-def _commands_before(text: bytes, end: int) -> Iterator[tuple[bytes, int]]:
+def _commands_before(text: Text, end: int) -> Iterator[tuple[bytes, int]]:
     """(command, position of its line's end), backwards from a line's beginning; comments and empty lines left out."""
     for _ in range(_FURTHEST_LINES):
         if end <= 0:

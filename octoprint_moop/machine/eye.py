@@ -36,8 +36,9 @@ from ..core.view.usable import is_still
 from . import bench
 from .beginning import bare_ends
 from .bench import Answer
+from .jobtext import job_text
 from .lasting import LastingRenderer
-from .parking import read_modes
+from .parking import Modes, read_modes
 from .pictures import decode, encode_mask
 from .pipe import receive, send
 from .recording import Recording
@@ -96,10 +97,13 @@ class Eye:
         path = None if job is None else Path(job)
         road = find_road(path, None if mesh is None else MeshChoice.from_json(mesh), Path(cache), self._progress)
         toolpath = road.toolpath
-        text, ends, bare = b"", [], []
+        ends: list[int] = []
+        bare: list[int] = []
+        modes: list[Modes] = []
         if path is not None and road.name != "height":
-            text = _as_octoprint_counts(path)
-            ends, bare = toolpath.layer_end_pos.tolist(), bare_ends(text, int(toolpath.end_pos[0]))
+            with job_text(path) as text:
+                ends, bare = toolpath.layer_end_pos.tolist(), bare_ends(text, int(toolpath.end_pos[0]))
+                modes = read_modes(text, [*bare, *ends])
         if path is not None and keep_as and not Path(keep_as).exists():
             packing = threading.Thread(target=_pack, args=(open(path, "rb"), Path(keep_as)), daemon=True)  # noqa: SIM115
             packing.start()
@@ -114,7 +118,7 @@ class Eye:
         )
         if recording:
             self._learn_again(Recording.open(recording), said or {})
-        return {
+        answer = {
             "road": road.name,
             "layers": toolpath.layers,
             "ends": ends,
@@ -122,10 +126,12 @@ class Eye:
             "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
             "cancel_commands": list(toolpath.cancel_commands),
-            "modes": [modes.to_json() for modes in read_modes(text, [*bare, *ends])],
+            "modes": [one.to_json() for one in modes],
             "notes": list(road.notes),
             "renderer": self._draw().name,
-        }, []
+        }
+        toolpath.let_go()
+        return answer, []
 
     def reference(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
         """The bed just before anything lies on it. blobs: the frame, JPEG. `taken` is false where the head hides it."""
@@ -135,7 +141,9 @@ class Eye:
     def check(self, blobs: list[bytes], moment: dict[str, Any]) -> Answer:
         """One check of the print that is open. blobs: the frame, JPEG."""
         inspector, road = self._opened()
-        return inspector.check(decode(blobs[0]), road.moment(Moment.from_json(moment))).to_json(), []
+        check = inspector.check(decode(blobs[0]), road.moment(Moment.from_json(moment)))
+        road.toolpath.let_go()
+        return check.to_json(), []
 
     def still(self, blobs: list[bytes]) -> Answer:
         """Whether nothing has moved between two frames. blobs: both, JPEG."""
@@ -198,17 +206,6 @@ def answer(eye: Eye, do: str, blobs: list[bytes], arguments: dict[str, Any]) -> 
     if do in QUESTIONS:
         return getattr(eye, do)(blobs, **arguments)
     return bench.QUESTIONS[do](blobs, **arguments)
-
-
-def _as_octoprint_counts(job: Path) -> bytes:
-    """The file's bytes, with what is no UTF-8 as long as OctoPrint takes it to be when it tells file positions."""
-    with gzip.open(job, "rb") if job.suffix == ".gz" else open(job, "rb") as file:
-        text = file.read()
-    try:
-        text.decode("utf-8")
-        return text
-    except UnicodeDecodeError:
-        return text.decode("utf-8", errors="replace").encode("utf-8")
 
 
 def _pack(source: IO[bytes], packed: Path) -> None:

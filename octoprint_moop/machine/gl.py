@@ -22,7 +22,7 @@ from ..core.expected.lens import outermost_ray, shown, tilt
 from ..core.expected.solid import Solid
 from ..core.toolpath import Toolpath
 
-CHUNK = 1 << 15  # instances a draw call: bounds graphics memory and the time for which moderngl holds the GIL
+CHUNK = 1 << 14  # instances a draw call: bounds graphics memory and the time for which moderngl holds the GIL
 UNTOUCHED = np.uint32(0xFFFFFFFF)  # no draw writes it, and no failed read returns it
 DISTORTION_SIZE = 12  # k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4; OpenCV's two tilts come as a matrix
 
@@ -206,6 +206,8 @@ class GlRenderer:
             self._scratch.orphan()
             self._scratch.write(drawn)
             self._beads.render(moderngl.TRIANGLE_STRIP, vertices=6, instances=len(drawn))
+            if self.software:  # which otherwise keeps what it has not drawn yet in memory
+                self._context.finish()
         return self._finish(frame, camera)
 
     def solid_map(self, solid: Solid, camera: Camera, room_from_print_mm: np.ndarray) -> np.ndarray:
