@@ -266,14 +266,14 @@ def main() -> None:
 
 
 def as_table(result: dict[str, Any]) -> str:
-    """Processor time of one birth map, and in brackets for a bead."""
+    """Time on the clock of one birth map, and in brackets for a bead."""
     sizes = list(SIZES_PX)
     names = [(name, size) for name in result["renderers"] for size in sizes]
     rows = []
     for count in sorted({row["beads"] for row in result["birth_map"]}):
         found = {row["size"]: row for row in result["birth_map"] if row["beads"] == count}
         cells = [found[size][name] for name, size in names]
-        rows.append([f"{count:,}", *(f"{c['processor_ms']:.0f} ms ({c['processor_us_per_bead']:.2f} µs)" for c in cells)])
+        rows.append([f"{count:,}", *(f"{c['ms']:.0f} ms ({c['us_per_bead']:.2f} µs)" for c in cells)])
     return table(["beads", *(f"{name.split(' (')[0]}, {size}" for name, size in names)], rows)
 
 
