@@ -94,7 +94,7 @@ def compared(slicer: str, what: str, data: bytes, file: Path, layers: int | None
     toolpath = read_gcode(file)
     said = FILAMENT.findall(data)
     figures = [float(number) for number in said[0].replace(b" ", b"").split(b",") if number] if said else []
-    used = sum(figures) or None
+    used = round(sum(figures), 2) or None
     return {
         "slicer": slicer, "settings": what, "layers_said": len(LAYER.findall(data)) or layers, "layers": toolpath.layers,
         "filament_said_mm": used, "filament_mm": round(toolpath.filament_mm, 2),
