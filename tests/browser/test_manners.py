@@ -92,7 +92,8 @@ def test_a_point_of_the_bed_is_placed_by_keyboard_alone(canned: Canned, open_tab
         page.keyboard.press(key)
     placed = page.evaluate("ko.dataFor(document.getElementById('moop_setup')).place.points()[0].px()")
     assert placed[0] > 160 and placed[1] == pytest.approx(120, abs=2)  # right of the middle of 320 x 240
-    page.evaluate("ko.dataFor(document.getElementById('moop_setup')).place.forget()")
+    with page.expect_response("**/calibrate/guides"):
+        page.evaluate("ko.dataFor(document.getElementById('moop_setup')).place.forget()")
 
 
 def test_a_failure_is_announced_and_the_ticking_age_is_not(canned: Canned, open_tab: Open) -> None:

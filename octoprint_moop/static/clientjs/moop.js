@@ -66,7 +66,11 @@
     };
 
     MoopClient.prototype.attachMesh = function (file) {
-        return this.base.upload(this.route("mesh"), file);
+        // unlike all others, uploads hand their answers over as lists
+        return this.base.upload(this.route("mesh"), file).then(
+            function (answer) { return answer[0]; },
+            function (refused) { return $.Deferred().reject(refused[0]); }
+        );
     };
 
     /* Whether it is used, and where it stands: any of use, x_mm, y_mm, turn_deg, layer_height_mm. */

@@ -11,6 +11,15 @@
         self.mesh = ko.observable(null);
         self.trouble = ko.observable("");
         self.busy = ko.observable(false);
+        self.sent = ko.observable(null); // share of an upload
+        self.busyText = ko.pureComputed(function () {
+            if (!self.busy()) {
+                return "";
+            }
+            return self.sent() !== null && self.sent() < 1
+                ? words.say("%(share)s sent", {share: words.percent(self.sent())})
+                : words.say("The model is being read …");
+        });
         self.typed = _.zipObject(PLACED, PLACED.map(function () { return ko.observable(""); }));
 
         self.summary = ko.pureComputed(function () { return words.mesh(self.mesh()); });
@@ -69,7 +78,9 @@
     Mesh.prototype.ask = function (request) {
         const self = this;
         self.busy(true);
+        self.sent(null);
         return request
+            .progress(function (sent) { self.sent(sent && sent.total ? sent.loaded / sent.total : null); })
             .done(function (answer) {
                 self.trouble("");
                 self.take(answer);

@@ -183,6 +183,22 @@ $(function () {
             }, words.say("This colour is the filament.")).done(self.load);
         };
 
+        /* Back to what suits every colour: what a print has shown tells its filament. */
+        self.learnFilament = function () {
+            const limits = JSON.parse(document.getElementById("moop_settings_limits").textContent);
+            self.typed.hueMin(limits.hue_min_deg.default);
+            self.typed.hueMax(limits.hue_max_deg.default);
+            self.typed.saturationMin(limits.saturation_min.default);
+            self.typed.valueMin(limits.value_min.default);
+            self.keepSettings({
+                segmentation: "adaptive",
+                hue_min_deg: limits.hue_min_deg.default,
+                hue_max_deg: limits.hue_max_deg.default,
+                saturation_min: limits.saturation_min.default,
+                value_min: limits.value_min.default
+            }, words.say("The filament's colour is learned from each print.")).done(self.load);
+        };
+
         self.keepAction = function () {
             self.keepSettings(
                 {on_failed: self.onFailed(), sensitivity: self.sensitivity()}, words.say("This is what will be done.")
@@ -194,13 +210,16 @@ $(function () {
 
         self.trialLines = ko.pureComputed(function () {
             const header = self.header();
+            const learned = self.settings.settings.plugins.moop.segmentation() === "adaptive";
             const line = function (step, ok, text) { return {step: step, ok: Boolean(ok), text: text}; };
             return [
                 line("camera", self.camera.good(), words.say("The picture is good.")),
                 line("bed", header.printer, words.say("The printer's geometry is known.")),
                 line("place", header.camera, words.say("The camera's place is known: its grid must lie on the bed.")),
-                line("place", !self.kept.stale().length, words.say("The calibration is of the camera as it is now.")),
-                line("filament", self.done.filament(), words.say("The filament's colour is narrowed down.")),
+                line("place", header.camera && !self.kept.stale().length, words.say("The calibration is of the camera as it is now.")),
+                line("filament", self.done.filament() || learned, self.done.filament()
+                    ? words.say("The filament's colour is narrowed down.")
+                    : words.say("The filament's colour is learned from each print.")),
                 line("action", self.settings.settings.plugins.moop.watch_prints(), words.say("Every print will be watched."))
             ];
         });

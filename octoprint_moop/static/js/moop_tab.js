@@ -83,9 +83,9 @@ $(function () {
             return self.printer() !== "idle" && Boolean(self.status() && self.status().job);
         });
         self.watchText = ko.pureComputed(function () {
-            return self.status() && self.status().watching
-                ? words.say("Pause watching for this print")
-                : words.say("Watch this print again");
+            return self.printing() && !self.status().watching
+                ? words.say("Watch this print again")
+                : words.say("Pause watching for this print");
         });
         self.mayCheck = ko.pureComputed(function () { return self.mayControl() && self.printing() && !self.busy(); });
 

@@ -139,6 +139,7 @@
                 level: "warning",
                 text: joined([
                     say("Nobody is watching this print: %(why)s", {why: status.blind || say("it has not been taken up.")}),
+                    typeof status.reading === "number" ? say("%(share)s read", {share: percent(status.reading)}) : "",
                     check ? lastLook(check, ageSeconds) : ""
                 ])
             };

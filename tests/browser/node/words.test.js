@@ -100,3 +100,22 @@ test("a replay is told beside what happened", () => {
         "With these settings: no failure in 2 checks. During the print: a failure at layer 5."
     );
 });
+
+test("how far a big file has been read is told while it is", () => {
+    const told = words.state(status({watching: false, blind: "The G-code is being read.", reading: 0.42, last_check: null}), 0, "printing");
+    assert.match(told.text, /being read\. · 42 % read/);
+});
+
+test("what looking costs is told by print and by look, once there is something to tell", () => {
+    assert.strictEqual(words.timeAdded({checks: 0, held_s: 0}), "");
+    assert.strictEqual(words.timeAdded({checks: 40, held_s: 60}), "Looking has added 1 min to this print so far: 1.5 s a look.");
+});
+
+test("a check's line says what it took", () => {
+    assert.strictEqual(words.checkLine({layer: 4, E: 0.004, verdict: "ok", held_s: 0.84}), "Layer 5 · E 0.4 % · all well · took 0.8 s");
+});
+
+test("measuring the bed's motion says beforehand what will move, from where to where", () => {
+    const plan = {from_mm: {x: 1, y: 20, z: 10}, to_mm: {x: 1, y: 80.04, z: 40}};
+    assert.match(words.bedMotionPlan(plan), /Z moves from 10 to 40 mm, Y from 20 to 80 mm.*move back.*Nothing is heated/);
+});
