@@ -1,6 +1,6 @@
 """What one whole check costs after the frame has arrived, in decodings of that frame, and where the time goes.
 
-    python benchmarks/check.py [--cases DIR] [--checks 40] [--size 640x480] > check.json
+    python benchmarks/check.py [--cases DIR] [--checks 60] [--write] > check.json
 
 DIR (default ../shared/cases) holds recordings; their prints are watched from the first frame on by the product's own
 Inspector, once as they are (640x480) and once enlarged to 1920x1080: frames by cubic interpolation and cut to shape, with
@@ -8,7 +8,8 @@ a sensor's noise put back so that they are as hard to decode as a real camera's,
 
 One thread of OpenCV, and the processor's time, not the clock's: what a check takes from the printer's computer. A check
 is decoding and `Inspector.check`; ratios are to the median of the decodings in the same run. The first check, which
-draws the print (see render.py), is told apart. `steps` are means over the others, of what nothing else in the list contains.
+draws the print (see render.py), is told apart; the last is that in which the print fails, if it does: it is paused then.
+`steps_ms` are means over the others, each without what other steps within it take.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import sys
 import time
 from collections import defaultdict
@@ -36,9 +36,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.tables import ROOT, machine, put, save, table
 from octoprint_moop.core import inspection
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.decision.course import Course
+from octoprint_moop.core.decision.decide import FAILED
 from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.view.light import Light, LightChange
@@ -48,7 +50,6 @@ from octoprint_moop.machine.pictures import decode
 from octoprint_moop.machine.recording import Recording
 from octoprint_moop.machine.renderers import open_renderer
 
-ROOT = Path(__file__).resolve().parents[1]
 LARGE_PX = (1920, 1080)
 NOISE_SIGMA, JPEG_QUALITY = 2.5, 85
 STEPS: tuple[tuple[Any, str, str], ...] = (
@@ -149,6 +150,8 @@ def measured(folder: Path, checks: int, large: bool) -> dict[str, Any]:
             verdicts[check.verdict] += 1
             if number == 0:
                 watch.spent_s.clear()
+            if check.verdict == FAILED:
+                break
     decoding_s = float(np.median(decodings_s))
     after = np.array(checks_s[1:])
     p50_s, p95_s = np.percentile(after, [50, 95])
@@ -179,6 +182,7 @@ def main() -> None:
     parser.add_argument("--checks", type=int, default=60, help="of each recording, at most")
     parser.add_argument("--size", choices=("as recorded", "1920x1080", "both"), default="both")
     parser.add_argument("--only", default="", help="recordings whose names contain this")
+    parser.add_argument("--write", action="store_true", help="also into results/ and the document")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     folders = [path.parent for path in sorted(options.cases.glob(f"*{options.only}*/recording.json"))]
@@ -190,10 +194,24 @@ def main() -> None:
             for folder in folders:
                 rows.append(measured(folder, options.checks, large))
                 print(_line(rows[-1]), file=sys.stderr)
-    machine = {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version(),
-               "numpy": np.__version__, "opencv": cv2.__version__}  # fmt: skip
-    json.dump({"machine": machine, "threads": 1, "checks": rows}, sys.stdout, indent=1)
+    json.dump({"machine": machine(), "threads": 1, "checks": rows}, sys.stdout, indent=1)
     print()
+    if options.write:
+        save("check", "python benchmarks/check.py --write", "rendered", {"threads": 1, "checks": rows})
+        put(ROOT / "docs" / "rendering.md", "check", as_table(rows))
+
+
+def as_table(rows: list[dict[str, Any]]) -> str:
+    """Figures in decodings of the same frame, and where the time goes."""
+    head = ["recording", "size", "objects", "p50", "p95", "decode, ms", "most of it"]
+    lines = []
+    for number, row in enumerate(rows):
+        steps = sorted(row["steps_ms"].items(), key=lambda step: -step[1])
+        most = ", ".join(f"{name} {ms:.1f} ms" for name, ms in steps[:4] if name != "decode")
+        figures = (row["p50_decodings"], row["p95_decodings"], row["decode_ms"])
+        case = f"rendered case {number % (len(rows) // len({one['size'] for one in rows})) + 1}"
+        lines.append([case, row["size"], row["objects"], *figures, most])
+    return table(head, lines)
 
 
 def _line(row: dict[str, Any]) -> str:

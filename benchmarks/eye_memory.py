@@ -1,6 +1,6 @@
 """How much memory the eye needs, the child process that does all the looking, with a very large job open.
 
-    python benchmarks/eye_memory.py [--megabytes 100] [--checks 12] [--cache DIR] > eye_memory.json
+    python benchmarks/eye_memory.py [--megabytes 100] [--checks 12] [--write] > eye_memory.json
 
 The job is made here: a wavy vase full of infill, short moves, as long as asked for. The child is the product's own,
 asked over its pipe as the plugin asks it: `index` (at upload), `open` (at the print's begin, once reading the file and once
@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import re
 import sys
 import tempfile
@@ -26,6 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.tables import ROOT, machine, put, save, table
 from octoprint_moop.core.camera import BedMotion, Camera
 from octoprint_moop.core.header import Header, Printer
 from octoprint_moop.machine.link import EyeLink
@@ -117,20 +116,36 @@ def main() -> None:
     parser.add_argument("--megabytes", type=float, default=100.0, help="size of the job that is made")
     parser.add_argument("--checks", type=int, default=12)
     parser.add_argument("--job", type=Path, help="a job of your own, instead")
+    parser.add_argument("--write", action="store_true", help="also into results/ and the document")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         job = options.job or Path(folder) / "large.gcode"
         if options.job is None:
             write_job(job, options.megabytes)
         result = {
-            "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version(),
-                        "numpy": np.__version__, "opencv": cv2.__version__},
             "megabytes": round(job.stat().st_size / 1e6, 1),
             "reading": watched(job, Path(folder) / "cache", options.checks),
             "from_cache": watched(job, Path(folder) / "cache", options.checks),
         }  # fmt: skip
-    json.dump(result, sys.stdout, indent=1)
+    json.dump({"machine": machine(), **result}, sys.stdout, indent=1)
     print()
+    if options.write:
+        save("eye_memory", "python benchmarks/eye_memory.py --write", "none", result)
+        put(ROOT / "docs" / "rendering.md", "eye_memory", as_table(result))
+
+
+def as_table(result: dict[str, Any]) -> str:
+    """Resident memory after each question, in MB."""
+    head = ["the file is", "after", "resident", "its own", "mapped", "most so far"]
+    lines = []
+    for way, name in (("reading", "read"), ("from_cache", "in the cache")):
+        questions = result[way]["questions"]
+        shown = [*questions[:3], questions[-2], questions[-1]]
+        for row in shown:
+            lines.append(
+                [name, row["after"], *(round(row[key]) for key in ("resident_mb", "own_mb", "mapped_mb", "most_mb"))]
+            )
+    return table(head, lines)
 
 
 if __name__ == "__main__":
