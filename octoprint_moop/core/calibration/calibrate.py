@@ -16,7 +16,8 @@ import numpy as np
 
 from ..camera import Camera
 from ..errors import CalibrationError, CameraError
-from .chessboard import Board, BoardView, find_views
+from .chessboard import Board, BoardView, find_views, to_grey
+from .corners import fit_corners
 
 _PINHOLE_ORDERS: tuple[tuple[str, int, int], ...] = (
     # name, cv2 flags, distortion numbers that are free
@@ -30,6 +31,7 @@ _FISHEYE_ORDER = "fisheye k1 k2 k3 k4"
 _FLAGS_HOME = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2  # OpenCV 4, OpenCV 5: other values too
 _FISHEYE_FLAGS = _FLAGS_HOME.CALIB_RECOMPUTE_EXTRINSIC | _FLAGS_HOME.CALIB_FIX_SKEW
 _FEWEST_VIEWS = 3
+_CORNER_ROUNDS = 2
 _DECENT_VIEWS = 8
 _DECENT_COVERAGE = 0.6
 
@@ -168,6 +170,7 @@ def calibrate_lens(images: Sequence[tuple[str, np.ndarray]], board: Board, model
     orders = [name for name, _, _ in _PINHOLE_ORDERS] if model != "fisheye" else []
     orders += [_FISHEYE_ORDER] if model != "pinhole" else []
     views, misfits = _without_misfits(views, board, size_px, orders)
+    views = _better_corners(views, dict(images), board, size_px, orders)
     order, held_out = _choose_order(views, board, size_px, orders)
     fit = _fit(views, board, size_px, order)
     coverage_ratio = _coverage_ratio(views, board, size_px)
@@ -230,14 +233,20 @@ def _rms(miss_px: np.ndarray) -> float:
 
 def _view_error_px(lens: Lens, view: BoardView, board: Board) -> float:
     """Root mean square distance of a view's corners from the board at the pose that suits this lens best."""
+    camera = _at_board(lens, view, board)
+    return float("inf") if camera is None else _rms(camera.project(board.points_mm()) - view.corners_px)
+
+
+def _at_board(lens: Lens, view: BoardView, board: Board) -> Camera | None:
+    """Where this lens must have stood to see the board so; None where it cannot have seen it."""
     rays = lens.rays(view.corners_px)
     if not np.isfinite(rays).all():
-        return float("inf")
+        return None
     found, rvec, tvec = cv2.solvePnP(board.points_mm(), rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not found:
-        return float("inf")
+        return None
     rvec, tvec = cv2.solvePnPRefineLM(board.points_mm(), rays, np.eye(3), None, rvec, tvec)
-    return _rms(lens.at(rvec, tvec).project(board.points_mm()) - view.corners_px)
+    return lens.at(rvec, tvec)
 
 
 def _without_misfits(
@@ -260,6 +269,34 @@ def _without_misfits(
         )
         views = views[:worst] + views[worst + 1 :]
     return views, rejected
+
+
+def _better_corners(
+    views: list[BoardView], pictures: Mapping[str, np.ndarray], board: Board, size_px: tuple[int, int],
+    orders: Sequence[str],
+) -> list[BoardView]:  # fmt: skip
+    """The views with each corner fitted in the board's own coordinates, which the lens found so far gives.
+
+    That lens has all of what bends a square: else its error comes back in the corners.
+    """
+    better = views
+    for _ in range(_CORNER_ROUNDS):
+        fits = []
+        for order in ("k1 k2 p1 p2", _FISHEYE_ORDER):
+            try:
+                fits += [_fit(better, board, size_px, order)] if order in orders else []
+            except CalibrationError:
+                continue
+        if not fits:
+            break
+        lens = min(fits, key=lambda fit: fit.rms_px).lens
+        better = []
+        for view in views:
+            camera = _at_board(lens, view, board)
+            grey = to_grey(pictures[view.name])
+            corners_px = view.corners_px if camera is None else fit_corners(grey, camera, view.corners_px, board)
+            better.append(BoardView(view.name, corners_px))
+    return better
 
 
 def _choose_order(

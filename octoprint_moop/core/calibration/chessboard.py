@@ -61,7 +61,7 @@ def find_corners(image: np.ndarray, board: Board) -> np.ndarray | None:
     Two estimates are averaged, as their errors are independent and of about the same size: the sector model of
     findChessboardCornersSB, which suppresses noise, and the gradient's saddle of cornerSubPix, which is unbiased.
     """
-    grey = _grey(image)
+    grey = to_grey(image)
     found, corners = cv2.findChessboardCornersSB(
         grey, (board.columns, board.rows), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     )
@@ -111,7 +111,8 @@ def find_views(
     return (int(size_px[0]), int(size_px[1])), views, rejected
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
+def to_grey(image: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 of a picture that is grey or BGR."""
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
@@ -124,7 +125,7 @@ def _spacing_px(corners_px: np.ndarray, board: Board) -> float:
 def _blur(picture: np.ndarray, corners_px: np.ndarray, board: Board) -> str:
     """Why the view is too blurred, or ""."""
     sharpness, _ = cv2.estimateChessboardSharpness(
-        _grey(picture), (board.columns, board.rows), corners_px.astype(np.float32).reshape(-1, 1, 2)
+        to_grey(picture), (board.columns, board.rows), corners_px.astype(np.float32).reshape(-1, 1, 2)
     )
     edge_px, spacing_px = float(np.ravel(sharpness)[0]), _spacing_px(corners_px, board)
     if spacing_px < 6:
@@ -149,7 +150,7 @@ def _no_board(images: Sequence[tuple[str, np.ndarray]], board: Board) -> str:
     near = [(board.columns + dx, board.rows + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (dx, dy) != (0, 0)]
     for _, picture in images[:3]:
         for columns, rows in sorted((pair for pair in near if min(pair) >= 3), reverse=True):
-            if cv2.findChessboardCornersSB(_grey(picture), (columns, rows))[0]:
+            if cv2.findChessboardCornersSB(to_grey(picture), (columns, rows))[0]:
                 return (
                     f"No picture shows a board with {board.columns} x {board.rows} inner corners, but one shows "
                     f"{columns} x {rows}. Inner corners are one less than squares; give {columns}x{rows}."
