@@ -15,7 +15,7 @@ import numpy as np
 from ..camera import Camera
 from .chessboard import Board
 
-_REACH, _SAMPLES = 0.42, 13  # how far around a corner, in squares, and how many samples each way
+_REACH, _SAMPLES = 0.42, 17  # how far around a corner, in squares, and how many samples each way
 _ROUNDS = 12
 _MOST_PX, _MOST_LEFT = 1.0, 0.35  # a fit that strays, or leaves so much of the contrast, is not believed
 _U, _V = (part.ravel() for part in np.meshgrid(*[np.linspace(-_REACH, _REACH, _SAMPLES)] * 2))
