@@ -16,7 +16,8 @@ from .decision.compare import Comparison, compare
 from .decision.course import Courses, Look, Ruling
 from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import Diagnosis, diagnose
-from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
+from .decision.evidence import TOLERANCE_PX, Findings, Sight, disc, find
+from .decision.memory import Memory
 from .errors import FrameError, SegmentationError
 from .expected.views import Expected, MaskRenderer, box_about
 from .head import HeadModel
@@ -30,6 +31,9 @@ LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN_CHECKS = 2  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
 HIDDEN = "Something stands in the view: a hand, or a tool?"
+ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
+SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
+FLOODED = 1.5  # times the complete print: so much too much matter is no print's but the bed taken for filament
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 
 
@@ -135,6 +139,7 @@ class Inspector:
         self._seen: dict[str | None, _Seen] = {}
         self._good_checks: dict[str | None, int] = {}
         self._hidden_checks: dict[str | None, int] = {}
+        self._told_apart: set[str | None] = set()
         self._shown: Callable[[], Pictures] | None = None
         self.look: Look | None = None
         """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
@@ -223,6 +228,8 @@ class Inspector:
         comparison = compare(sharp.mask, sharp_observed, sharp.complete, sharp_ignored)
         comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * window.step**2)
         blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
+        if not blocked and comparison.extra_px > FLOODED * comparison.total_px:
+            blocked = ALIKE
         if blocked:
             return self._blind(Look(comparison, UNUSABLE, blocked), moment)
         view.accept(steady)
@@ -240,6 +247,11 @@ class Inspector:
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), moment)
+        if moment.camera not in self._told_apart:
+            if not _tells_apart(findings, memory, tolerance_px):
+                view.learn(steady, seen)
+                return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
+            self._told_apart.add(moment.camera)
         self._seen[moment.camera] = _Seen(view, moment, findings)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
@@ -279,7 +291,7 @@ class Inspector:
         if cv2.countNonZero(expected.mask & (doubtful | expected.ignored)) > MOST_HIDDEN_RATIO * wanted:
             return "The print head hides the print. Let it park for the picture."
         if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
-            return "Filament and bed look alike here: more light, or a bed of another colour, would help."
+            return ALIKE
         return ""
 
     def _head(self) -> HeadModel:
@@ -307,6 +319,19 @@ def conclude(looks: Iterable[tuple[Look, Moment]], sensitivity: str, objects: Se
     courses = Courses(sensitivity)
     for look, moment in looks:
         yield Check.of(moment, *courses.rule(look, moment), objects)
+
+
+def _tells_apart(findings: Findings, memory: Memory, tolerance_px: float) -> bool:
+    """Whether print and bed can be told from one another at all: most of what must be seen is, or plainly isn't there."""
+    wanted, seen, near = findings.wanted & findings.known, findings.seen & findings.known, disc(tolerance_px)
+    missing = wanted & (cv2.dilate(seen.view(np.uint8), near) == 0)
+    extra_px = np.count_nonzero(seen & (cv2.dilate(findings.wanted.view(np.uint8), near) == 0))
+    wanted_px, missing_px = np.count_nonzero(wanted), np.count_nonzero(missing)
+    if extra_px > EXTRA_MOST * wanted_px:
+        return False
+    if missing_px <= (1 - SEEN_LEAST) * wanted_px:
+        return True
+    return 2 * np.count_nonzero(memory.looks_bare(findings.window, findings.look, missing)) > missing_px
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Moment
 from octoprint_moop.core.inspection import Inspector
+from octoprint_moop.core.segmentation.segment import HsvThresholds
+from octoprint_moop.core.settings import Settings
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.machine.recording import Recording
 
@@ -164,3 +166,16 @@ def test_what_seems_hidden_check_after_check_is_judged_in_the_end(detached, monk
     verdicts = [inspector.check(recording.frame(moment), moment).verdict for moment in recording.moments[8:14]]
     assert verdicts[:2] == ["unusable", "unusable"]
     assert verdicts[2:4] == ["suspect", "failed"]  # it has come off at layer 10
+
+
+@pytest.mark.parametrize("thresholds", [HsvThresholds(100, 140, 0.5, 0.3), HsvThresholds(0, 360, 0.0, 0.0)])
+def test_a_print_that_cannot_be_told_from_the_bed_is_not_said_to_be_well(clogged, thresholds):
+    """Thresholds that no filament here meets, and ones that everything meets."""
+    recording = Recording.open(clogged)
+    inspector = Inspector(
+        replace(recording.header, material=thresholds), read_gcode(clogged / "job.gcode"), CvRenderer(),
+        Settings(segmentation="thresholds"), recording.reference(),
+    )  # fmt: skip
+    found = [inspector.check(recording.frame(moment), moment) for moment in recording.moments[:4]]
+    assert {check.verdict for check in found} == {"unusable"}
+    assert "look alike" in found[-1].reason
