@@ -10,8 +10,9 @@ import octoprint.plugin
 from octoprint.access import ADMIN_GROUP, READONLY_GROUP, USER_GROUP
 from octoprint.events import Events
 
-from ..core.errors import SettingsError
+from ..core.errors import FrameError, SettingsError
 from ..core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
+from ..machine import recorder
 from ..machine.calibrations import Calibrations
 from ..machine.homing import Homing
 from ..machine.ledger import Ledger
@@ -25,6 +26,7 @@ from .api_calibrations import MoopCalibrationsApi
 from .api_jobs import MoopJobsApi
 from .api_past import MoopPastApi
 from .api_setup import MoopSetupApi
+from .health import health_checks
 
 REPOSITORY = ("octoprint-moop", "octoprint_moop")
 
@@ -204,6 +206,21 @@ class MoopPlugin(
         """docs/events.md"""
         return {"status": lambda: self._ledger.status, "check_now": lambda: self._watch.check_now()}
 
+    def problems(self) -> list[str]:
+        """What keeps the next print from being watched or recorded, as far as that is known without a look."""
+        found: list[str] = []
+        if not self._moop_settings.watch_prints:
+            return found
+        if self._setups.get(*self._setup_key()) is None:
+            found.append("Prints are not watched: it is not known where the camera stands. Open the MOOP tab's set-up.")
+        try:
+            octoprint_webcam(self._moop_settings.webcam)
+        except FrameError as error:
+            found.append(f"Prints are not watched. {error}")
+        if self._moop_settings.record and recorder.is_disk_full(self._recordings):
+            found.append("Prints are watched but not recorded: the disk is almost full.")
+        return found
+
     # --- hooks ----------------------------------------------------------------------------------------------------
 
     def hooks(self) -> dict[str, Any]:
@@ -218,6 +235,7 @@ class MoopPlugin(
             "octoprint.events.register_custom_events": self.custom_events,
             "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
             "octoprint.plugin.softwareupdate.check_config": self.update_information,
+            "octoprint.plugin.health_check.get_additional_checks": lambda: health_checks(self.problems),
         }
 
     def on_gcode_queuing(

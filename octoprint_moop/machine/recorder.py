@@ -109,7 +109,7 @@ class Recorder:
 
     def _make_room(self) -> None:
         make_room(self._root, self._budget_bytes, keep=self.folder)
-        if shutil.disk_usage(self._root).free < SPARE_BYTES:
+        if is_disk_full(self._root):
             raise OSError("the disk is almost full")
 
     def _give_up(self, error: OSError) -> None:
@@ -163,6 +163,13 @@ def make_room(root: Path, budget_bytes: int, keep: Path | None = None) -> None:
         if not recording.keep and (keep is None or recording.name != keep.name):
             shutil.rmtree(root / recording.name, ignore_errors=True)
             used -= recording.bytes
+
+
+def is_disk_full(root: Path) -> bool:
+    """Whether nothing is recorded for want of space."""
+    while not root.exists() and root != root.parent:
+        root = root.parent
+    return shutil.disk_usage(root).free < SPARE_BYTES
 
 
 def find(root: Path, name: str) -> Path | None:

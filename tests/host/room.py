@@ -29,12 +29,12 @@ WIDTH, HEIGHT = 640, 480
 FILAMENT_BGR = (20, 120, 240)
 
 
-def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3) -> str:
+def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3, height_mm: float = 0.3) -> str:
     """A box of solid layers, drawn in few long moves; relative extrusion, no comments that name layers."""
     out = ["G21", "G90", "M83", "G28", "M104 S200"]
     x0 = y0 = 100 - side_mm / 2
     for layer in range(layers):
-        z = 0.3 * (layer + 1)
+        z = height_mm * (layer + 1)
         out.append(f"G1 X{x0:.3f} Y{y0:.3f} Z{z:.3f} F12000")
         rows = int(side_mm / 0.8)
         for row in range(rows):

@@ -7,10 +7,11 @@ import threading
 import time
 
 import octoprint.plugin
-from octoprint.webcams import get_snapshot_webcam
+from octoprint.schema.webcam import Webcam
+from octoprint.webcams import get_snapshot_webcam, get_webcams
 
 
-class Spy(octoprint.plugin.SimpleApiPlugin):
+class Spy(octoprint.plugin.SimpleApiPlugin, octoprint.plugin.WebcamProviderPlugin):
     def initialize(self):
         path = os.path.join(self.get_plugin_data_folder(), "sent.jsonl")
         self._sent = open(path, "a", buffering=1)  # noqa: SIM115  open for as long as the server runs
@@ -31,7 +32,16 @@ class Spy(octoprint.plugin.SimpleApiPlugin):
         finally:
             self._printer.set_job_on_hold(False)
 
-    _stabilises, _snapped = False, 0
+    _stabilises, _snapped, _taken = False, 0, 0
+
+    def get_webcam_configurations(self):
+        """A second webcam, which shows what the first one does."""
+        return [Webcam(name="second", displayName="Second", canSnapshot=True, snapshotDisplay="")]
+
+    def take_webcam_snapshot(self, name):
+        first = get_webcams()["classic"]
+        self._taken += 1
+        return first.providerPlugin.take_webcam_snapshot(first.config.name)
 
     def is_api_protected(self):
         return True
@@ -49,7 +59,7 @@ class Spy(octoprint.plugin.SimpleApiPlugin):
         import flask
 
         moop = self._plugin_manager.get_helpers("moop")
-        return flask.jsonify(snapped=self._snapped, status=moop["status"](), check_now=moop["check_now"]())
+        return flask.jsonify(snapped=self._snapped, taken=self._taken, status=moop["status"](), check_now=moop["check_now"]())
 
 
 __plugin_name__ = "Spy"

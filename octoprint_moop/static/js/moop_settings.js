@@ -96,6 +96,16 @@ $(function () {
             }
         };
 
+        /* How OctoPrint's health check shows what the server has found. */
+        self.getAdditionalHealthCheckHandlers = function () {
+            return {
+                moop: function (result, context) {
+                    const items = _.map(context.problems, function (text) { return "<li>" + _.escape(text) + "</li>"; });
+                    return {title: "MOOP", html: "<ul>" + items.join("") + "</ul>", result: result};
+                }
+            };
+        };
+
         self.onSettingsBeforeSave = function () {
             const wrong = _.filter(self.fields, function (field) { return field.wrong(); });
             if (wrong.length) {

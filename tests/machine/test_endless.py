@@ -1,0 +1,52 @@
+"""What must not grow: with the number of prints, and with the number of checks. benchmarks/endurance.py has larger ones."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import threading
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from .endless import Endless
+
+HEADER = {"printer": {"volume_mm": {"width": 200, "depth": 200, "height": 200}, "origin": "lowerleft", "bed_motion": "fixed"}}
+
+
+@pytest.fixture
+def endless(tmp_path):
+    numbers = itertools.count()
+    made = Endless(
+        tmp_path, lambda: b"\xff\xd8%d\xff\xd9" % next(numbers), "tests.machine.fast_eye", recordings_mb=10
+    )
+    yield made
+    made.close()
+
+
+def left() -> tuple[int, int, int]:
+    """Open files, threads, and bytes of Python's memory."""
+    gc.collect()
+    return len(list(Path("/proc/self/fd").iterdir())), threading.active_count(), tracemalloc.get_traced_memory()[0]
+
+
+@pytest.mark.parametrize(("prints", "layers"), [(15, 1), (2, 100)])
+def test_many_prints_and_many_checks_leave_nothing_behind(endless, tmp_path, prints, layers):
+    job = tmp_path / f"{layers}.gcode"
+    job.write_text("G1 X1\n")
+    ends = [100 * (layer + 1) for layer in range(layers)]
+
+    def run() -> None:
+        assert sum(endless.print(job, HEADER, ends) for _ in range(prints)) == prints * layers
+
+    tracemalloc.start()
+    try:
+        run()
+        before = left()
+        run()
+        after = left()
+    finally:
+        tracemalloc.stop()
+    assert after[0] <= before[0] + 2 and after[1] <= before[1] + 2
+    assert after[2] - before[2] < 200_000, "what a second time leaves is not what the first did"
