@@ -125,7 +125,9 @@ def drawn_story(kind: str, seed: int, bases: list[Base], rng: np.random.Generato
 
 @lru_cache(maxsize=1)
 def painted_base(seed: int, still: bool) -> Base:
-    return PaintedStory.good(seed, SHARED / "data" / "gcode-zoo", SMALL_PX["mixed" if still else "clean"], still).painted()
+    return PaintedStory.good(
+        seed, SHARED / "data" / "gcode-zoo", SMALL_PX["mixed" if still else "clean"], still
+    ).painted()
 
 
 def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:

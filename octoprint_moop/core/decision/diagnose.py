@@ -8,7 +8,7 @@ layer, by the distance that explains most.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Callable, Protocol
 
 import cv2
@@ -22,6 +22,7 @@ LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown
 
 GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays bare
 OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
+FIRST_SHIFTED_RATIO, AS_GOOD = 0.3, 0.15
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
 LEAST_MOVE_MM = 2.5
@@ -189,18 +190,24 @@ class _Scope:
 
     def shift_above(self, covered: Callable[[int], np.ndarray]) -> _Move | None:
         """From which layer on everything is displaced; None where that doesn't explain what differs."""
-        best: _Move | None = None
+        moves: list[_Move] = []
         for back in (0, 1, 2, 3, 5, 8):
             layer = self._layer - back
             if layer < 1 or self.stray_px < 0.2 * self.wrong_px:
                 break
             lower = self._wanted & (self._layer_of < layer)
             move = self._best_move(covered(layer), lower)
-            if not move or move.distance_px < LEAST_SHIFT_PX:
-                continue
-            if best is None or move.explained_ratio > best.explained_ratio + 0.03:
-                best = _Move(move.from_px, move.to_px, move.explained_ratio, layer)
-        return best if best and best.explained_ratio >= 1.2 * EXPLAINED_RATIO else None
+            if move and move.distance_px >= LEAST_SHIFT_PX:
+                moves.append(replace(move, layer=layer))
+        best = max(moves, key=lambda move: move.explained_ratio, default=None)
+        if best is None:
+            return None
+        # the first shifted layer lies on air where it sticks out, and comes in pieces
+        newest = best.layer == self._layer and best.distance_px >= 2 * LEAST_SHIFT_PX
+        if best.explained_ratio < (FIRST_SHIFTED_RATIO if newest else 1.2 * EXPLAINED_RATIO):
+            return None
+        near = [move for move in moves if move.explained_ratio >= best.explained_ratio - AS_GOOD]
+        return min(near, key=lambda move: move.layer)
 
     def _best_move(self, part: np.ndarray, standing: np.ndarray) -> _Move | None:
         """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
