@@ -100,8 +100,9 @@ def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: Hs
         reflected = _fit_all(picture, rough, min(limit_px, _rough_limit_px(rough)), mirrored, lens)
         if reflected and (not fitted or len(reflected[0].markers) > len(fitted[0].markers)):
             raise CalibrationError(
-                "The picture is mirrored: the markers lie as if seen in a mirror. Switch off one of the webcam's flips "
-                "(both together turn it by half, which is well), or correct the markers' numbers, and try again."
+                "The picture is mirrored: the markers lie as if seen in a mirror. Switch off one of the flips in the "
+                "camera's or the streamer's own settings (both together turn it by half, which is well; OctoPrint's only "
+                "turn its pages), or correct the markers' numbers, and try again."
             )
     if not fitted:
         raise CalibrationError(_not_found(discs, plate))
