@@ -39,7 +39,7 @@ def test_a_print_that_comes_off_the_bed_is_paused_at_that_layer_before_another_l
     room.webcam.slides_at = text.index("Z2.700")  # layer number 8 begins
     path = room.print(text)
     room.server.wait_state({"Paused"}, 40)
-    status = room.status
+    status = room.wait("told", lambda: room.status["last_check"]["verdict"] == "failed" and room.status)
     assert status["action"] == "pause"
     assert 8 <= status["layer"] <= 9
     assert status["last_check"]["verdict"] == "failed" and status["last_check"]["age_s"] < 20
