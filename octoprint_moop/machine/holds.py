@@ -15,7 +15,7 @@ import re
 import threading
 import time
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Callable, Protocol
 
 log = logging.getLogger("octoprint.plugins.moop.holds")
@@ -74,6 +74,7 @@ class _Plan:
     wanted: dict[int, int]
     wanted_pos: Sequence[int]
     not_before_s: float
+    choice: tuple[int, tuple[int, ...]] = (1, ())
 
     def after(self, file_pos: float) -> float:
         index = bisect.bisect_right(self.wanted_pos, file_pos)
@@ -86,12 +87,13 @@ class Holds:
     hand_over : called with each new hold, from a serial thread; must not block
     missed    : boundaries since the last hold that never came by as a line of the file
     refused   : why the last hold was impossible, "" where it was not
-    last_pos  : of the line of the file that came by last
+    last_pos  : of the line of the file that came by last; -1 where none has since the last print was over
     """
 
     def __init__(self, printer: Printer, hand_over: Callable[[Hold], None]) -> None:
         self._printer, self._hand_over = printer, hand_over
         self._plan: _Plan | None = None
+        self._made: _Plan | None = None
         self._next_pos: float = math.inf
         self._asked = False
         self._hold: Hold | None = None
@@ -99,7 +101,7 @@ class Holds:
         self._lock = threading.Lock()
         self.missed = 0
         self.refused = ""
-        self.last_pos = 0
+        self.last_pos = -1
 
     # --- for the watching thread ----------------------------------------------------------------------------------
 
@@ -112,9 +114,12 @@ class Holds:
         every_layers : 0 to hold at the slicer's marks only
         bare_ends    : positions before the first layer at which to hold besides
         """
-        wanted = {pos: layer for layer, pos in enumerate(ends) if every_layers and (layer + 1) % every_layers == 0}
-        wanted.update(dict.fromkeys(bare_ends, BARE))
-        plan = _Plan(ends, wanted, sorted(wanted), not_before_s)
+        choice, made = (every_layers, tuple(bare_ends)), self._made
+        if made is None or made.ends is not ends or made.choice != choice:  # made once for a print, not at each layer
+            wanted = {pos: layer for layer, pos in enumerate(ends) if every_layers and (layer + 1) % every_layers == 0}
+            wanted.update(dict.fromkeys(bare_ends, BARE))
+            made = _Plan(ends, wanted, sorted(wanted), not_before_s, choice)
+        self._made = plan = replace(made, not_before_s=not_before_s)
         self._plan = plan
         self._next_pos = plan.after(after_pos)
 

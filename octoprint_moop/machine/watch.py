@@ -36,6 +36,8 @@ BY_HEIGHT_S = 60.0
 """How often to look where no G-code tells when a layer ends."""
 GLANCE_S = 1.5
 """How long a picture may take while the firmware stands still."""
+NO_LINE_S = 60.0
+"""Before so long the first line of a file has come by, whatever the printer does with it."""
 REST_S = 600.0
 """After so long without a print the eye is closed, and its memory given back."""
 
@@ -98,6 +100,7 @@ class Watch:
             self._job.over.set()
         self.holds.plan_none()
         self.holds.drop(how, lost)
+        self.holds.last_pos = -1
         self._mailbox.put(lambda: self._end(how))
 
     def job_paused(self) -> None:
@@ -320,6 +323,11 @@ class Watch:
             return
         elif self.holds.refused:
             self._ledger.blind(blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused}).")
+        elif self.holds.last_pos < 0 and time.monotonic() - current.began_s > NO_LINE_S and not self._paused:
+            self._ledger.blind(
+                blindness.NOT_HELD,
+                "No line of this print comes by here: over this kind of connection it cannot be held for a look.",
+            )
         elif self.holds.missed >= 3:
             self._ledger.blind(
                 blindness.FILE_CHANGED,
@@ -371,7 +379,7 @@ class Watch:
 
     def _skip(self, name: str, file_pos: int) -> None:
         if self._print is not None:
-            self._print.cancelled.setdefault(name, file_pos)
+            self._print.cancelled.setdefault(name, max(file_pos, 0))
 
     def _read_ahead(self, ahead: Ahead) -> None:
         self._idle_since_s = time.monotonic()

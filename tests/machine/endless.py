@@ -67,7 +67,7 @@ class Endless:
     def print(self, job: Path, header: dict[str, Any], ends: Iterable[int]) -> int:
         """One print with a look at each of these ends; how many checks came of it."""
         self.watch.job_started(Job(job.name, str(job), header))
-        self._wait(lambda: self.ledger.status["watching"])
+        self.wait(lambda: self.ledger.status["watching"])
         for end in ends:
             self.printer.let_go.clear()
             sent = self.watch.holds.line_queuing("G1 X1", end)
@@ -77,11 +77,11 @@ class Endless:
             self.watch.holds.line_received("ok X:2.00 Y:198.00 Z:0.30 E:1.00 Count")
             assert self.printer.let_go.wait(30), self.ledger.status
         self.watch.job_over("done")
-        self._wait(lambda: self.ledger.status["blind_code"] == "idle")
+        self.wait(lambda: self.ledger.status["blind_code"] == "idle")
         assert self.printer.holds == 0
         return len(self.ledger.checks)
 
-    def _wait(self, condition: Callable[[], Any], timeout_s: float = 60.0) -> None:
+    def wait(self, condition: Callable[[], Any], timeout_s: float = 60.0) -> None:
         until_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < until_s, self.ledger.status

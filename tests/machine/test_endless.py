@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from octoprint_moop.machine import watch
+from octoprint_moop.machine.jobs import Job
+
 from .endless import Endless
 
 HEADER = {"printer": {"volume_mm": {"width": 200, "depth": 200, "height": 200}, "origin": "lowerleft", "bed_motion": "fixed"}}
@@ -50,3 +53,14 @@ def test_many_prints_and_many_checks_leave_nothing_behind(endless, tmp_path, pri
         tracemalloc.stop()
     assert after[0] <= before[0] + 2 and after[1] <= before[1] + 2
     assert after[2] - before[2] < 200_000, "what a second time leaves is not what the first did"
+
+
+def test_a_connection_that_shows_no_line_of_the_print_is_told(endless, tmp_path, monkeypatch):
+    """As connectors may do that hand the whole file over."""
+    monkeypatch.setattr(watch, "NO_LINE_S", 0.2)
+    monkeypatch.setattr(watch, "TICK_S", 0.1)
+    job = tmp_path / "3.gcode"
+    job.write_text("G1 X1\n")
+    endless.watch.job_started(Job(job.name, str(job), HEADER))
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "not_held")
+    assert "No line of this print" in endless.ledger.status["blind"]
