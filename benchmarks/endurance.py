@@ -5,7 +5,8 @@
 
 The watch is the real one, recordings are written, the printer takes no time. Twice: with an eye that answers at once, for
 what stays behind in the server, and for fewer prints and checks with the real eye before painted pictures. Memory and open
-files of both processes are noted on the way. A week of printing is about ten thousand checks.
+files of both processes are noted on the way. A week of printing is about ten thousand checks. Prints JSON; `--write` keeps it as
+benchmarks/results/endurance.json and puts the table into docs/faults.md.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import argparse
 import itertools
 import json
 import os
-import platform
 import sys
 import tempfile
 import threading
@@ -25,6 +25,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.tables import ROOT, put, save, table
 from octoprint_moop.core.gcode.read import read_gcode
 from tests.host.room import PaintedWebcam, box_gcode, header
 from tests.machine.endless import Endless
@@ -96,17 +97,39 @@ def real(folder: Path, prints: int, checks: int) -> dict[str, Any]:
     return found
 
 
+def write(figures: dict[str, Any]) -> None:
+    save("endurance", "python benchmarks/endurance.py --write", "drawn", figures)
+    put(ROOT / "docs" / "faults.md", "endurance", as_table(figures))
+
+
+def as_table(figures: dict[str, Any]) -> str:
+    rows = []
+    for eye, found in figures.items():
+        for one in found.values():
+            first, last = one["on_the_way"][1], one["on_the_way"][-1]
+            many = f"{one['prints']} prints of one layer" if one["prints"] > 1 else f"one print of {one['layers']} layers"
+            rows.append([
+                many, eye, one["checks"], *(f"{first[key]} → {last[key]}" for key in ("server_mb", "eye_mb", "server_files",
+                "eye_files", "threads")), one["ms_per_check_first_tenth"], one["ms_per_check_last_tenth"],
+            ])  # fmt: skip
+    head = ["what", "looked at by", "checks", "server, MB", "eye, MB", "server's open files", "eye's open files",
+            "server's threads", "ms a check, first tenth", "last tenth"]  # fmt: skip
+    return table(head, rows)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--prints", type=int, default=1000)
     parser.add_argument("--checks", type=int, default=10_000)
     parser.add_argument("--real-prints", type=int, default=200)
     parser.add_argument("--real-checks", type=int, default=1000)
+    parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        figures: dict[str, Any] = {
-            "rendered": True, "cores": os.cpu_count(), "python": platform.python_version(), "date": time.strftime("%Y-%m-%d"),
-            "an_eye_that_answers_at_once": fast(Path(folder) / "fast", options.prints, options.checks),
-            "the_real_eye": real(Path(folder) / "real", options.real_prints, options.real_checks),
-        }  # fmt: skip
-    print(json.dumps(figures, indent=1))
+        found = {
+            "an eye that answers at once": fast(Path(folder) / "fast", options.prints, options.checks),
+            "the real eye": real(Path(folder) / "real", options.real_prints, options.real_checks),
+        }
+    print(json.dumps(found, indent=1))
+    if options.write:
+        write(found)
