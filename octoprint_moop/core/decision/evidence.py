@@ -32,7 +32,7 @@ from .memory import Memory, Window, about, placed, planes, register
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 FIRST_LAYERS = 2
-ALIKE_RATIO, SHADE_PX = 0.15, 8.0
+ALIKE_RATIO, SEEN_RATIO, SHADE_PX = 0.15, 0.3, 8.0
 SPECK_PX = 6
 HOLLOW_RIM_PX, HOLLOW_LEAST_PX = 1.5, 3
 RIM_PX = 1.0
@@ -227,7 +227,10 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     deep = recent & inside & ((layer_of > 0) | (sight.layer <= FIRST_LAYERS))
     barren = unchanged | memory.looks_bare(window, look, deep & ~near_observed & ~memory.ever_seen(window))
     barren &= deep
-    unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~observed)
+    # contours that are known to be off by more than a pixel hide a layer's height
+    off_px = round(memory.spread_px - 0.5)
+    covered = observed if off_px < 1 else cv2.dilate(observed_u8, disc(off_px)) > 0
+    unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered)
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
     # dark filament and its own shadow look alike
     shade = SHADE_PX * sight.finer
@@ -236,7 +239,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
-    alike = _could_be_matter(lost | unseen | barren, observed & wanted & ~unchanged, look, memory.bare(window))
+    alike = _could_be_matter(lost | unseen | barren, wanted, observed & wanted & ~unchanged, look, memory.bare(window))
     lost, unseen, barren = lost & ~alike, unseen & ~alike, barren & ~alike
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
@@ -244,15 +247,17 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     return Findings(window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, scopes)
 
 
-def _could_be_matter(where: np.ndarray, matter: np.ndarray, look: np.ndarray, bare: np.ndarray) -> np.ndarray:
+def _could_be_matter(
+    where: np.ndarray, wanted: np.ndarray, matter: np.ndarray, look: np.ndarray, bare: np.ndarray
+) -> np.ndarray:
     """bool: of the pixels `where`, those under which the bed looks as a good part of the matter that is seen does.
 
     Whether filament of the bed's own shade has come or is gone cannot be seen: a side wall that comes into view as a
     print grows may look just like it. Looks are counted in steps of 16 grey levels, with the neighbouring steps.
     """
     few, lies = about(where), about(matter)
-    if not where.any() or not matter.any():
-        return np.zeros_like(where)
+    if not where.any() or np.count_nonzero(matter) < SEEN_RATIO * np.count_nonzero(wanted):
+        return np.zeros_like(where)  # next to nothing is seen, and what there is may be the bed
     blue, green, red = (plane[lies][matter[lies]] >> 4 for plane in look)
     counts = np.bincount((blue.astype(np.intp) * 16 + green) * 16 + red, minlength=4096).astype(np.float32)
     padded = np.pad(counts.reshape(16, 16, 16), 1)

@@ -14,7 +14,7 @@ from .align import Alignment
 SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from then on it only creeps,
 SURROUNDINGS_EVERY = 4  # good checks
 CREEPING_CHECKS, CREEP_PX = 4, 0.3  # by so little in so many, as a print grows out of the height at which it was found
-SETTLING_REACH_PX = 6
+SETTLING_REACH_PX, RESETTLING_CHECKS = 6, 2
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
@@ -55,6 +55,7 @@ class Memory:
         self._has_bare = np.full(shape, reference_bgr is not None) if known is None else known
         self._given_up = np.zeros(shape, bool)
         self._checks = self._crept = 0
+        self._settled_at = SETTLING_CHECKS
         self.alignment = Alignment()
         self.spread_px = 0.0
         """How far most contours of the print still lay from their edges, halo included, when last it was aligned."""
@@ -187,6 +188,7 @@ class Memory:
     def recalibrated(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
         """The print is expected elsewhere from now on, where it was seen to be. As `carried`."""
         self.carried(matrix, shape)
+        self._settled_at = self._checks + RESETTLING_CHECKS  # what the better camera leaves is looked for anew
         self.alignment = replace(self.alignment, offset_px=(0.0, 0.0), shear_px=(0.0, 0.0, 0.0, 0.0))
 
     @property
@@ -199,7 +201,7 @@ class Memory:
 
         window, wanted : of the expected mask, bool; observed, ignored : the whole picture's, uint8
         """
-        if self._checks < SETTLING_CHECKS:
+        if self._checks < self._settled_at:
             found = register(window, wanted, observed, ignored, SETTLING_REACH_PX)
             if found is not None:
                 self.alignment = found.alignment.within(align.MOST_PX)
