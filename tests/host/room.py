@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import http.server
 import json
+import socket
 import threading
 import time
 from pathlib import Path
@@ -88,7 +89,7 @@ class PaintedWebcam:
     """Serves snapshots over HTTP.
 
     slides_at : file position from which on the print has come off the bed, and lies elsewhere
-    answer    : what is answered instead of a picture: 404, html, truncated, empty, same, huge, slow
+    answer    : what is answered instead of a picture: refused, 404, html, truncated, empty, same, huge, slow
     before    : called before each answer
     shown     : a JPEG to show instead of the room
     """
@@ -145,6 +146,9 @@ class PaintedWebcam:
                 webcam.served += 1
                 webcam.before()
                 answer = webcam.answer
+                if answer == "refused":
+                    self.connection.shutdown(socket.SHUT_RDWR)
+                    return
                 if answer == "404":
                     self.send_error(404)
                     return

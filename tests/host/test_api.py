@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import threading
 import zipfile
 
 import pytest
@@ -120,6 +121,28 @@ def test_a_check_can_be_asked_for_between_two_layers(room):
         room.save(every_layers=1)
     answer = room.server.request("POST", "/plugin/moop/check", json={})
     assert answer.status_code == 409
+
+
+def test_two_people_who_press_the_same_buttons_do_no_harm(room):
+    """A second browser, or a script: each sees the same, and what both ask for is done once."""
+    path = room.print(box_gcode(layers=10))
+    room.wait_checks(2)
+    answers: list[int] = []
+
+    def press() -> None:
+        for route, sent in (("check", {}), ("watch", {"watching": False}), ("watch", {"watching": True}), ("pardon", {})):
+            answers.append(room.server.request("POST", f"/plugin/moop/{route}", json=sent).status_code)
+
+    people = [threading.Thread(target=press) for _ in range(2)]
+    for each in people:
+        each.start()
+    for each in people:
+        each.join()
+    assert set(answers) <= {200, 409}
+    room.wait_checks(4)
+    room.wait_done()
+    assert room.sent_of_file() == path.read_text().splitlines()
+    assert room.status["action"] == "none"
 
 
 def test_each_watched_print_leaves_a_recording_that_can_be_replayed_and_fetched(room, tmp_path):

@@ -14,6 +14,7 @@ from .room import box_gcode
     ("answer", "told"),
     [
         ("404", "404"),
+        ("refused", "no picture"),
         ("html", "not a JPEG; it begins with '<html>"),
         ("empty", "empty"),
         ("truncated", "breaks off after 9000 bytes"),
