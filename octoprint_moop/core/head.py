@@ -57,18 +57,19 @@ class HeadModel:
     gantry: Box | None = None
 
     @classmethod
-    def common(cls, width_mm: float) -> HeadModel:
-        """A generous guess for a printer whose bed is `width_mm` wide: heater block, carriage with fans, two rods."""
+    def common(cls, width_mm: float, left_mm: float = 0.0) -> HeadModel:
+        """A generous guess for a printer whose bed is `width_mm` wide and begins at x = `left_mm`: heater block, carriage
+        with fans, two rods."""
         return cls(
             head=(Box((-14, -18, 0), (14, 18, 14)), Box((-35, -45, 8), (35, 40, 85))),
-            gantry=Box((-70, -15, 25), (width_mm + 70, 45, 85)),
+            gantry=Box((left_mm - 70, -15, 25), (left_mm + width_mm + 70, 45, 85)),
         )
 
     @classmethod
-    def from_text(cls, text: str, width_mm: float) -> HeadModel:
+    def from_text(cls, text: str, width_mm: float, left_mm: float = 0.0) -> HeadModel:
         """The head that a setting describes in JSON; empty for the common one. Raises SettingsError."""
         if not text.strip():
-            return cls.common(width_mm)
+            return cls.common(width_mm, left_mm)
         try:
             return cls.from_json(json.loads(text))
         except (ValueError, RecursionError) as error:

@@ -98,6 +98,13 @@ class Printer:
     filament_mm: float = 1.75
     head: HeadModel | None = None
 
+    @property
+    def bed_low_mm(self) -> tuple[float, float]:
+        """The bed's front left corner in print coordinates. A circular bed has its origin in the middle."""
+        if self.form_factor == "circular" or self.origin == "center":
+            return -self.width_mm / 2, -self.depth_mm / 2
+        return 0.0, 0.0
+
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Printer:
         """Raises RecordingError naming what is missing or makes no sense, SettingsError for the head."""

@@ -297,7 +297,7 @@ class Inspector:
     def _head(self) -> HeadModel:
         """The printer's own, else that of the settings, else a common one."""
         printer = self._header.printer
-        return printer.head or HeadModel.from_text(self._settings.head, printer.width_mm)
+        return printer.head or HeadModel.from_text(self._settings.head, printer.width_mm, printer.bed_low_mm[0])
 
     def _view(self, moment: Moment) -> View:
         if moment.camera not in self._views:

@@ -11,7 +11,7 @@ from octoprint_moop.core.view.glance import Glance
 from octoprint_moop.core.view.stabilise import STILL, Stabiliser
 
 SIZE = (640, 480)
-BED_MM = (250.0, 210.0)
+BED_MM = ((0.0, 0.0), (250.0, 210.0))
 
 
 @pytest.fixture

@@ -83,10 +83,8 @@ def printer_from_profile(profile: Any) -> Printer:
 
 
 def bed_middle_mm(printer: Printer) -> np.ndarray:
-    """(2,) float64: the bed's middle in print coordinates. A circular bed has its origin there."""
-    if printer.form_factor == "circular" or printer.origin == "center":
-        return np.zeros(2)
-    return np.array([printer.width_mm / 2, printer.depth_mm / 2])
+    """(2,) float64: the bed's middle in print coordinates."""
+    return np.add(printer.bed_low_mm, (printer.width_mm / 2, printer.depth_mm / 2))
 
 
 def place_markers(printer: Printer, settings: PlateSettings) -> MarkerPlate:

@@ -38,7 +38,8 @@ class Backdrop:
         self._camera, self._printer, self._reference_bgr = camera, printer, reference_bgr
         self._small_bgr = Glance(reference_bgr).quarter
         self._reference_shift_mm = printer.bed.room_from_print_mm(position_mm)
-        bed_mm = (printer.width_mm, printer.depth_mm)
+        left, front = printer.bed_low_mm
+        bed_mm = ((left, front), (left + printer.width_mm, front + printer.depth_mm))
         self.stabiliser = Stabiliser(camera, printer.bed, bed_mm, reference_bgr, position_mm, expected.complete)
         self.occluders = Occluders(self._small_bgr)
         self._show(self._reference_shift_mm, expected)
@@ -71,8 +72,9 @@ class Backdrop:
         everywhere = np.full((height, width), 255, np.uint8)
         if np.abs(shift_mm - self._reference_shift_mm).max() < SAME_POSE_MM:
             return reference_bgr, everywhere
-        bed_width, depth = self._printer.width_mm, self._printer.depth_mm
-        corners_mm = np.array([[0, 0, 0], [bed_width, 0, 0], [bed_width, depth, 0], [0, depth, 0]], float)
+        left, front = self._printer.bed_low_mm
+        right, back = left + self._printer.width_mm, front + self._printer.depth_mm
+        corners_mm = np.array([[left, front, 0], [right, front, 0], [right, back, 0], [left, back, 0]], float)
         size = np.array([width, height]) / self._camera.image_size_px
         before_px, now_px = (
             (self._camera.project(corners_mm + shift) + 0.5) * size - 0.5

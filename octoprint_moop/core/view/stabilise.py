@@ -56,20 +56,20 @@ class Stabiliser:
         self,
         camera: Camera,
         bed: BedMotion,
-        bed_size_mm: Sequence[float],
+        bed_mm: Sequence[Sequence[float]],
         reference_bgr: np.ndarray,
         reference_position_mm: Sequence[float],
         exclude: np.ndarray,
     ) -> None:
-        """reference_bgr : (H, W, 3) uint8; exclude : (H, W) uint8, 255 where the print is or will be; bed_size_mm : width
-        and depth, from 0, 0"""
+        """reference_bgr : (H, W, 3) uint8; exclude : (H, W) uint8, 255 where the print is or will be; bed_mm : x
+        and y of the bed's front left and of its back right corner"""
         self._camera, self._bed = camera, bed
         background = cv2.bitwise_not(cv2.dilate(exclude, np.ones((15, 15), np.uint8)))
         shift_mm = bed.room_from_print_mm(reference_position_mm)
         glance = Glance(reference_bgr)
         self._finer = glance.finer
         self._levels = [
-            self._level(scale * glance.finer, relief.all(), background, shift_mm, bed_size_mm)
+            self._level(scale * glance.finer, relief.all(), background, shift_mm, bed_mm)
             for scale, relief in zip(SCALES, _Pyramid(glance).reliefs)
         ]
         self._aim = Aim(camera, self._levels, shift_mm)
@@ -79,7 +79,12 @@ class Stabiliser:
         self._fits: dict[CameraTurn, float] = {}  # how well the picture fitted at the last turn, at best
 
     def _level(
-        self, scale: int, grey: np.ndarray, background: np.ndarray, shift_mm: np.ndarray, bed_size_mm: Sequence[float]
+        self,
+        scale: int,
+        grey: np.ndarray,
+        background: np.ndarray,
+        shift_mm: np.ndarray,
+        bed_mm: Sequence[Sequence[float]],
     ) -> Level:
         right, down = (cv2.Sobel(grey, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
         gradient = np.stack([right, down], -1)
@@ -91,18 +96,18 @@ class Stabiliser:
         rays = self._camera.rays(pixels)
         slope = np.sqrt(strength[rows, columns]) / scale
         return Level(
-            scale, rays, self._bed_points_mm(rays, shift_mm, bed_size_mm),
+            scale, rays, self._bed_points_mm(rays, shift_mm, bed_mm),
             grey[rows, columns], slope, gradient[rows, columns] / (slope * scale)[:, None],
         )  # fmt: skip
 
-    def _bed_points_mm(self, rays: np.ndarray, shift_mm: np.ndarray, size_mm: Sequence[float]) -> np.ndarray:
+    def _bed_points_mm(self, rays: np.ndarray, shift_mm: np.ndarray, bed_mm: Sequence[Sequence[float]]) -> np.ndarray:
         """(n, 3): where each ray meets the bed's surface, in print coordinates; NaN where it does not."""
         rays_room = rays @ cv2.Rodrigues(self._camera.rvec)[0]
         centre = self._camera.centre_mm
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (shift_mm[2] - centre[2]) / rays_room[:, 2]
             points = centre + rays_room * depth[:, None] - shift_mm
-            on_bed = (depth > 0) & ((points[:, :2] >= 0) & (points[:, :2] <= np.asarray(size_mm[:2]))).all(axis=1)
+            on_bed = (depth > 0) & ((points[:, :2] >= bed_mm[0]) & (points[:, :2] <= bed_mm[1])).all(axis=1)
         points[~on_bed] = np.nan
         return points
 
