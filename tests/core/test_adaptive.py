@@ -113,6 +113,31 @@ def test_a_print_of_the_beds_own_colour_leaves_the_segmenter_unsure_and_it_says_
     assert segmenter.separability < 0.6
 
 
+def test_where_the_bed_cannot_be_told_from_filament_its_absence_is_not_claimed():
+    """Filament of the bed's own shade on it: whether it lies there cannot be seen, and must not be called missing."""
+    dark, bedlike = (52, 52, 54), (60, 58, 62)
+    segmenter = watched(AdaptiveSegmenter(None, bed(bedlike)), 6, dark, bedlike)
+    seen = segmenter.observe(printed(expected(8).mask, dark, 8, bedlike), expected(8))
+    wanted = expected(8).mask > 0
+    missed = wanted & (seen.mask == 0) & (seen.unsure == 0)
+    assert missed.sum() < 0.1 * wanted.sum() and (seen.unsure > 0)[wanted].mean() > 0.4
+
+
+def test_doubt_about_the_bed_ends_when_matter_is_clearly_seen():
+    dark, bedlike = (52, 52, 54), (60, 58, 62)
+    segmenter = watched(AdaptiveSegmenter(None, bed(bedlike)), 4, dark, bedlike)
+    for layer in (6, 7):
+        seen = segmenter.observe(printed(expected(layer).mask, ORANGE, layer, bedlike), expected(layer))
+    assert (seen.unsure > 0)[expected(7).mask > 0].mean() < 0.3
+
+
+def test_matter_of_another_colour_that_is_gone_is_missed_and_not_doubted():
+    segmenter = watched(AdaptiveSegmenter(None, bed()), 8)
+    seen = segmenter.observe(bed(seed=5), expected(9))
+    wanted = expected(9).mask > 0
+    assert (wanted & (seen.mask == 0) & (seen.unsure == 0)).sum() > 0.9 * wanted.sum()
+
+
 def test_a_camera_without_colour_is_served_by_brightness_alone():
     grey = [cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) for frame in (bed(),)]
     segmenter = AdaptiveSegmenter(HsvThresholds(15, 45, 0.5, 0.3), cv2.cvtColor(grey[0], cv2.COLOR_GRAY2BGR))

@@ -16,6 +16,7 @@ _TELLING = 0.2  # thresholds that more of the bed's pixels than this keep to do 
 _CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
 _FRINGE = 10.0
 _SQUARES = np.minimum(np.arange(256) ** 2, 20_000).astype(np.uint16)  # three of them fit into 16 bits
+_ALIKE = 0.4  # of where material lies, that the bed seems to show through though all is well: they look alike
 _INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
 
 
@@ -52,6 +53,7 @@ class AdaptiveSegmenter:
         self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
         self._model: ColourModel | None = None
         self._separability = 1.0
+        self._bedlike_ratio = 0.0
 
     @property
     def separability(self) -> float:
@@ -70,19 +72,36 @@ class AdaptiveSegmenter:
         model = self._colours(frame_bgr, expected)
         self._separability = model.separability
         seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2], model), mask)
+        if self._bedlike_ratio > _ALIKE and plate is not None and mask is not None:
+            seen = self._unsure_of_the_bed(seen, plate, opponent(crop), mask)
         return seen.within(frame_bgr.shape[:2], region)
+
+    def _unsure_of_the_bed(
+        self, seen: Observation, plate: Plate, colours: np.ndarray, expected: np.ndarray
+    ) -> Observation:
+        """Where this print has been taken for the bed so far, an unchanged bed does not say that nothing lies there."""
+        unchanged = ~self._not_the_bed(plate, colours)
+        inside = _well_inside(expected, 1)
+        if inside.any():
+            self._bedlike_ratio = min(self._bedlike_ratio, float(unchanged[inside].mean()))
+        unsure = unchanged & (expected > 0) if self._bedlike_ratio > _ALIKE else np.zeros_like(inside)
+        return Observation(seen.mask, seen.unsure | np.where(unsure, np.uint8(255), np.uint8(0)))
 
     def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Take this frame's look as that of filament and background. Only after a check in which all was well."""
         colours = opponent(frame_bgr)
-        inside = cv2.erode(expected.mask, np.ones((2 * _INSIDE_PX + 1,) * 2, np.uint8))
-        filament = (inside > 0) & (observed.mask > 0) & (observed.unsure == 0)
+        inside = _well_inside(expected.mask, _INSIDE_PX)
+        filament = inside & (observed.mask > 0) & (observed.unsure == 0)
         if self._plate is not None and self._plate.known.shape == filament.shape:
-            filament &= self._not_the_bed(self._plate, colours)
+            changed = self._not_the_bed(self._plate, colours)
+            lying = _well_inside(expected.mask, 1)
+            if lying.any():
+                self._bedlike_ratio = (self._bedlike_ratio + 1 - float(changed[lying].mean())) / 2
+            filament &= changed
         outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
         background = outside & (observed.mask == 0) & (observed.unsure == 0)
         # its edge too, a mixture of both, and so is what lies just outside: there they must be told apart
-        edge = _grown(filament, _INSIDE_PX) & _grown(observed.mask > 0, 1) & (expected.mask > 0) & (inside == 0)
+        edge = _grown(filament, _INSIDE_PX) & _grown(observed.mask > 0, 1) & (expected.mask > 0) & ~inside
         lies = filament | edge
         beside = _grown(filament, 2 * _INSIDE_PX + 1) & ~outside & (expected.mask == 0)
         if filament.any():
@@ -132,6 +151,11 @@ class AdaptiveSegmenter:
                 lies &= self._not_the_bed(self._plate, colours)
             filament = count_colours(colours, lies)
         return ColourModel(filament, background)
+
+
+def _well_inside(mask: np.ndarray, by_px: int) -> np.ndarray:
+    """(H, W) bool: of a uint8 mask what is not near its edge."""
+    return cv2.erode(mask, np.ones((2 * by_px + 1,) * 2, np.uint8)) > 0
 
 
 def _inside(region: tuple[int, int, int, int], shape: tuple[int, int]) -> np.ndarray:
