@@ -50,6 +50,19 @@ def test_a_clog_is_caught_once_it_shows_and_stays_a_failure_while_nobody_says_ot
     assert set(verdicts[first:]) == {"failed"}
 
 
+def test_dark_filament_on_a_dark_sheet_is_unusable_with_the_reason(tmp_path):
+    """It cannot be seen whether such a print is there, so neither "all is well" nor "it is gone" would be true."""
+    folder = make_recording(tmp_path / "print", layers=8, seed=6, material_bgr=(48.0, 45.0, 45.0), surface="sheet")
+    recording = Recording.open(folder)
+    inspector = Inspector(
+        replace(recording.header, material=None), read_gcode(folder / "job.gcode"), CvRenderer(),
+        reference_bgr=recording.reference(),
+    )  # fmt: skip
+    found = [inspector.check(recording.frame(moment), moment) for moment in recording.moments]
+    assert "failed" not in {check.verdict for check in found}
+    assert found[-1].verdict == "unusable" and "look alike" in found[-1].reason
+
+
 @pytest.mark.parametrize("what", ["accept", "pardon"])
 def test_after_the_user_goes_on_the_same_state_does_not_fail_again(clogged, what):
     found = checks(clogged, after_failure=what)

@@ -80,7 +80,7 @@ class AdaptiveSegmenter:
         self, seen: Observation, plate: Plate, colours: np.ndarray, expected: np.ndarray
     ) -> Observation:
         """Where this print has been taken for the bed so far, an unchanged bed does not say that nothing lies there."""
-        unchanged = ~self._not_the_bed(plate, colours)
+        unchanged = (seen.mask == 0) & ~self._not_the_bed(plate, colours)
         inside = _well_inside(expected, 1)
         if inside.any():
             self._bedlike_ratio = min(self._bedlike_ratio, float(unchanged[inside].mean()))
@@ -96,7 +96,8 @@ class AdaptiveSegmenter:
             changed = self._not_the_bed(self._plate, colours)
             lying = _well_inside(expected.mask, 1)
             if lying.any():
-                self._bedlike_ratio = (self._bedlike_ratio + 1 - float(changed[lying].mean())) / 2
+                bedlike = (observed.mask == 0) & ~changed
+                self._bedlike_ratio = (self._bedlike_ratio + float(bedlike[lying].mean())) / 2
             filament &= changed
         outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
         background = outside & (observed.mask == 0) & (observed.unsure == 0)
