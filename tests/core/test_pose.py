@@ -12,8 +12,9 @@ import pytest
 
 from octoprint_moop.core.calibration.calibrate import Lens
 from octoprint_moop.core.calibration.markers import MarkerPlate, circle_poses, find_discs
+from octoprint_moop.core.calibration.notes import roll_deg
 from octoprint_moop.core.calibration.plate import PlateSettings, place_markers
-from octoprint_moop.core.calibration.pose import PoseResult, calibrate_pose, calibrate_pose_any_colour, roll_deg
+from octoprint_moop.core.calibration.pose import PoseResult, calibrate_pose, calibrate_pose_any_colour
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.errors import CalibrationError, CameraError
 from octoprint_moop.core.header import Header, Printer

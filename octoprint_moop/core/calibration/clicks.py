@@ -19,7 +19,8 @@ from ..camera import Camera
 from ..errors import CalibrationError, CameraError
 from .calibrate import Lens
 from .fit import Solution, covariance_of, least_squares
-from .pose import PoseResult, pose_error, roll_deg
+from .notes import roll_deg
+from .pose import PoseResult, pose_error
 
 CLICK_PX = 2.0  # how well a person hits a corner
 _USUAL_VIEW_DEG = 62.0  # horizontal field of view of common webcams and Raspberry Pi cameras: 50 to 80

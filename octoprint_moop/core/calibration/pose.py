@@ -23,6 +23,7 @@ from .assign import Assignment, assignments
 from .calibrate import Lens, mean_max_json
 from .fit import Solution, least_squares, numeric_slopes
 from .markers import Disc, MarkerPlate, find_discs
+from .notes import doubt_of, not_found, notes_on
 from .outline import Feet, drop_feet, hole_outline, inner_colour, marker_outline, measure_edge_px
 
 # Radians, mm; px of the edges' common offset, and by which part of its height a marker's side looks lower than it is.
@@ -105,7 +106,7 @@ def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: Hs
                 "turn its pages), or correct the markers' numbers, and try again."
             )
     if not fitted:
-        raise CalibrationError(_not_found(discs, plate))
+        raise CalibrationError(not_found(discs, plate))
     best = fitted[0]
     for other in fitted[1:]:
         apart_px = np.linalg.norm(best.camera.project(plate.tops_mm()) - other.camera.project(plate.tops_mm()), axis=1)
@@ -128,7 +129,7 @@ def calibrate_pose(image: np.ndarray, lens: Lens, plate: MarkerPlate, colour: Hs
             (float(x), float(y)) if marker in best.markers else None for marker, (x, y) in enumerate(tops_px)
         ),
         error_px=error_px, error_mm=error_mm, covariance=covariance,
-        notes=_notes(best, plate, len(discs)),
+        notes=notes_on(camera, best.markers, plate, len(discs)) + doubt_of(error_px[1], lens.image_size_px[0]),
     )  # fmt: skip
 
 
@@ -140,7 +141,7 @@ def calibrate_pose_any_colour(image: np.ndarray, lens: Lens, plate: MarkerPlate)
     smooth = np.convolve(np.concatenate([counts[-1:], counts, counts[:1]]), [1, 2, 1], mode="valid")
     peaks = [k for k in range(36) if smooth[k] >= max(smooth[k - 1], smooth[(k + 1) % 36]) and smooth[k] > 0]
     results: list[PoseResult] = []
-    refusal = CalibrationError(_not_found([], plate))
+    refusal = CalibrationError(not_found([], plate))
     for peak in sorted(peaks, key=lambda k: -smooth[k])[:8]:
         middle = 10.0 * peak + 5
         for saturation_min in (0.6, 0.35):
@@ -381,43 +382,3 @@ def pose_error(
     error_px = np.sqrt(np.maximum(variance, 0))
     error_mm = error_px * distance_mm / camera.K[0, 0]
     return (float(error_px.mean()), float(error_px.max())), (float(error_mm.mean()), float(error_mm.max()))
-
-
-def roll_deg(camera: Camera) -> float:
-    """By how much the picture is turned: 0 where the bed's up is the picture's up, 180 for upside down."""
-    up = camera.camera_from_room[:3, 2]
-    if math.hypot(up[0], up[1]) < 0.1:  # straight from above there is no up
-        return 0.0
-    return math.degrees(math.atan2(up[0], -up[1]))
-
-
-def _notes(fit: _Fitted, plate: MarkerPlate, discs: int) -> tuple[str, ...]:
-    notes = []
-    if len(fit.markers) < len(plate.centres_mm):
-        lost = [str(marker + 1) for marker in range(len(plate.centres_mm)) if marker not in fit.markers]
-        notes.append(
-            f"{len(fit.markers)} of {len(plate.centres_mm)} markers were found; missing: {', '.join(lost)}. "
-            "The pose is less sure on that side."
-        )
-    if discs > len(fit.markers):
-        notes.append(f"{discs - len(fit.markers)} other things of the marker's colour were left aside.")
-    turned = roll_deg(fit.camera)
-    if abs(turned) > 150:
-        notes.append("The camera hangs upside down; that is well, and known now.")
-    elif abs(turned) > 20:
-        notes.append(f"The camera is rolled by {turned:.0f} degrees; that is well, and known now.")
-    return tuple(notes)
-
-
-def _not_found(discs: Sequence[Disc], plate: MarkerPlate) -> str:
-    wanted = len(plate.centres_mm)
-    if len(discs) < 3:
-        return (
-            f"Only {len(discs)} of {wanted} markers were found by their colour, and three are needed. Pick the colour "
-            "on the picture again, light the bed evenly, or move the camera so that all markers are seen."
-        )
-    return (
-        f"{len(discs)} things of the markers' colour were found, but no three of them lie as the plate's {wanted} "
-        "markers do. Check markers.json against the plate, the lens against this camera, and the picture for other "
-        "things of that colour."
-    )
