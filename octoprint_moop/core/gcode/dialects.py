@@ -130,11 +130,6 @@ DECLARATIONS = {  # words of the settings that slicers append: what they mean he
 @lru_cache(maxsize=4096)
 def meaning_of(raw: bytes) -> tuple[Meaning, ...]:
     """The same of a line that is nothing but a comment, semicolon included."""
-    if raw.startswith(b";WIDTH:"):  # a quarter of all lines of some slicers
-        try:
-            return (Width(float(raw[7:])),)
-        except ValueError:
-            pass
     return meaning(raw[1:].decode("utf-8", "replace"))
 
 

@@ -35,8 +35,20 @@ _QUIET = frozenset((73, 106, 107, 117, 118, 204, 205, 220, 221, 400, 486, 572, 5
 # extrudes next says where it begins.
 _NO_PATH = frozenset((4, 11, 12, 17, 21, 26, 27, 29, 30, 31, 32, 33, 34, 60, 61, 80))
 _KEEPS_TAIL = frozenset((17,))
+_MEANT_M = frozenset((82, 83, 200, 221, 486))
+_PLAIN_M = re.compile(rb"M0{0,4}(\d{1,4})(?![\d.])[^;]*$")
 # What arcs may come to: a file of nothing else must not fill the memory. Beads in all, and for each byte of the file.
 SPARE_BEADS, BEADS_PER_BYTE, FEWEST_CHORDS = 200_000, 0.5, 4
+
+
+def idle_command(raw: bytes) -> bool | None:
+    """Of a line that `Interpreter.run` would do nothing with: whether it leaves a retraction's tail open. None of others.
+
+    For settings of fans and acceleration, of which there are as many as comments.
+    """
+    found = _PLAIN_M.match(raw)
+    number = int(found.group(1)) if found else 82
+    return None if number in _MEANT_M else number in _QUIET
 
 
 class Interpreter:

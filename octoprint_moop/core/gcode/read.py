@@ -21,9 +21,9 @@ import numpy as np
 from ..errors import GcodeError
 from ..toolpath import Toolpath
 from .cache import Cache
-from .dialects import meaning_of
+from .dialects import Meaning, meaning_of
 from .finish import assemble
-from .interpreter import Interpreter
+from .interpreter import Interpreter, idle_command
 from .rows import OTHER, Lines, split
 from .store import Column
 from .walk import Walk
@@ -32,7 +32,7 @@ CHUNK_BYTES = 1 << 19
 HEAD_BYTES = 1 << 18
 LONGEST_LINE_BYTES = 1 << 20
 SHORT_RUN = 24  # rows; for fewer the interpreter is quicker than numpy
-_SEMICOLON = ord(";")
+_SEMICOLON, _WIDTH, MOST_WIDTH_MM = ord(";"), b";WIDTH:", 100.0
 LEAST_E_VALUES = 8  # fewer extruding moves do not tell absolute from relative E
 BOM = b"\xef\xbb\xbf"
 
@@ -193,14 +193,20 @@ class _Reader:
         run = _Chunk(chunk, lines, ends)
         begin, waiting, machine = 0, _Waiting([], []), self.machine
         own = machine.own_gcode
-        others = np.flatnonzero((lines.kind == OTHER) & (lines.end > lines.start))
+        others = run.others
         for i, start, end in zip(others.tolist(), lines.start[others].tolist(), lines.end[others].tolist()):
             raw = chunk[start:end]
-            stateless = raw[0] == _SEMICOLON or _STATELESS.match(raw)
-            # After some comments filament is fed by another than before, see `Interpreter.own_gcode`.
-            if stateless and not (_may_begin(raw) if own else b"ustom" in raw):
+            if raw[0] == _SEMICOLON:
+                heard: tuple[Meaning, ...] | bytes = meaning_of(raw)
+                if not heard:
+                    continue
+                # After some comments filament is fed by another than before, see `Interpreter.own_gcode`.
+                stateless = not (_may_begin(raw) if own else b"ustom" in raw)
+            else:
+                heard, stateless = raw, _STATELESS.match(raw) is not None
+            if stateless:
                 waiting.lines.append(i)
-                waiting.raw.append(raw)
+                waiting.heard.append(heard)
                 continue
             self._run(run, begin, i, waiting)
             machine.run(run.text(i), run.end(i))
@@ -210,8 +216,9 @@ class _Reader:
     def _run(self, run: _Chunk, begin: int, end: int, waiting: _Waiting) -> None:
         """Execute lines [begin, end), of which those `waiting` are no rows but change no mode either."""
         machine, first, last = self.machine, *run.rows(begin, end)
+        width_lines, widths_mm = run.widths(begin, end)
         if last == first:
-            run.interpret(machine, waiting.lines)
+            run.interpret(machine, sorted(waiting.lines + width_lines.tolist()))
             return
         walk = None
         if last - first >= SHORT_RUN:
@@ -221,18 +228,21 @@ class _Reader:
             return
         self._keep_interpreted()
         laid, tail_open, stops = machine.laid, machine.tail_open, []
+        if len(width_lines):
+            machine.said.width.extend(laid + walk.beads_upto[run.lines.rows_before[width_lines] - first], widths_mm)
         rows = run.lines.rows_before[np.array(waiting.lines, np.int64)] - first
         beads = (laid + walk.beads_upto[rows]).tolist()
-        for i, raw, row, bead in zip(waiting.lines, waiting.raw, rows.tolist(), beads):
-            if raw[0] == _SEMICOLON:
-                meanings = meaning_of(raw)
-                if meanings:
-                    machine.said.take(meanings, bead)
-                continue
-            machine.laid, machine.tail_open = bead, True
-            machine.run(run.text(i), run.end(i))
-            if not machine.tail_open:
-                stops.append(row)
+        for i, heard, row, bead in zip(waiting.lines, waiting.heard, rows.tolist(), beads):
+            if isinstance(heard, tuple):
+                machine.said.take(heard, bead)
+            else:
+                tail_stays = idle_command(heard)
+                if tail_stays is None:
+                    machine.laid, machine.tail_open = bead, True
+                    machine.run(run.text(i), run.end(i))
+                    tail_stays = machine.tail_open
+                if not tail_stays:
+                    stops.append(row)
         machine.laid, machine.tail_open = laid, tail_open
         self.end_pos.append(walk.apply(run.row_ends[first:last], np.array(stops, np.int64)))
         self.beads.append(walk.path)
@@ -244,19 +254,46 @@ class _Reader:
 
 
 class _Waiting(NamedTuple):
-    """Lines that are no rows but change no mode either: their numbers, and their bytes."""
+    """Lines that are no rows but change no mode either: their numbers, and what they say.
+
+    heard : of a comment what it means; of a command its bytes
+    """
 
     lines: list[int]
-    raw: list[bytes]
+    heard: list[tuple[Meaning, ...] | bytes]
 
 
 class _Chunk:
-    """A chunk's lines with their file positions."""
+    """A chunk's lines with their file positions.
+
+    others : numbers of the lines that are no rows, not empty, and tell no width
+    """
 
     def __init__(self, chunk: bytes, lines: Lines, ends: np.ndarray) -> None:
         self._chunk, self.lines, self._ends = chunk, lines, ends
         row = lines.kind != OTHER
         self.row_kind, self.row_ends = lines.kind[row], ends[row]
+        others = np.flatnonzero(~row & (lines.end > lines.start))
+        self._width_lines, self._widths_mm = self._find_widths(others)
+        self.others = np.setdiff1d(others, self._width_lines, assume_unique=True)
+
+    def _find_widths(self, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The lines `;WIDTH:0.45`, a quarter of all lines of some slicers, and the widths; () where one is damaged."""
+        text, tell = np.frombuffer(self._chunk, np.uint8), others
+        for i, letter in enumerate(_WIDTH):
+            tell = tell[text.take(self.lines.start[tell] + i, mode="clip") == letter]
+        pairs = zip((self.lines.start[tell] + len(_WIDTH)).tolist(), self.lines.end[tell].tolist())
+        try:
+            widths_mm = np.array([float(self._chunk[begin:end]) for begin, end in pairs])
+        except ValueError:
+            return np.empty(0, np.int64), np.empty(0)
+        sane = (widths_mm >= 0) & (widths_mm < MOST_WIDTH_MM)
+        return tell[sane], widths_mm[sane]
+
+    def widths(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of lines [begin, end): those that tell a width, and it; (n,) int64, (n,) float64, mm."""
+        among = slice(*np.searchsorted(self._width_lines, (begin, end)))
+        return self._width_lines[among], self._widths_mm[among]
 
     def raw(self, line: int) -> bytes:
         return self._chunk[self.lines.start[line] : self.lines.end[line]]

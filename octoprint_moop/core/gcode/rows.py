@@ -112,17 +112,18 @@ def _blank_comments(
         if not len(trailing):
             break
         code_end[trailing] -= 1
-    _blank_lines(code, start, end, kind == OTHER)
-    commented = np.flatnonzero((code_end != end) & (kind != OTHER))
-    for begin, stop in zip(code_end[commented].tolist(), end[commented].tolist()):
-        code[begin:stop] = b" " * (stop - begin)
+    _blank(code, np.where(kind == OTHER, start, code_end), end)
     return code_end
 
 
-def _blank_lines(code: bytearray, start: np.ndarray, end: np.ndarray, which: np.ndarray) -> None:
-    which = np.flatnonzero(which)
-    for begin, stop in zip(start[which].tolist(), end[which].tolist()):
-        code[begin:stop] = b" " * (stop - begin)
+def _blank(code: bytearray, start: np.ndarray, end: np.ndarray) -> None:
+    """Overwrite [start, end) of each line with blanks."""
+    some = np.flatnonzero(start < end)
+    if not len(some):
+        return
+    edges = np.zeros(len(code) + 1, np.int8)
+    edges[start[some]], edges[end[some]] = 1, -1  # lines do not touch: a newline lies between
+    np.frombuffer(code, np.uint8)[np.cumsum(edges[:-1], dtype=np.int8).view(bool)] = _BLANK
 
 
 def _words(
@@ -176,7 +177,7 @@ def _words(
     bad[odd] = True
     if bad.any():
         kind[bad] = OTHER
-        _blank_lines(code, start, end, bad)
+        _blank(code, start[bad], end[bad])
         keep = ~bad.take(letter_line)
         letter, letter_line, minus, decimals = letter[keep], letter_line[keep], minus[keep], decimals[keep]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from array import array
 
+import numpy as np
+
 from .dialects import Declared, Feature, Height, Label, Layer, Meaning, Slicer, Width, meaning
 
 TAKEN_BACK = -1  # in place of a file position: the cancelling of an object, or of all of them, is undone
@@ -17,11 +19,20 @@ class Changes:
         self.bead, self.value = array("q"), array("d")
 
     def at(self, bead: int, value: float) -> None:
-        if self.bead and self.bead[-1] == bead:
+        if self.bead and self.bead[-1] >= bead:
             self.value[-1] = value
         elif not self.value or self.value[-1] != value:
             self.bead.append(bead)
             self.value.append(value)
+
+    def extend(self, beads: np.ndarray, values: np.ndarray) -> None:
+        """As `at` for one after the other; beads (n,) int64, ascending, values (n,) float64."""
+        last = np.append(beads[1:] != beads[:-1], True)  # of those at the same bead
+        beads, values = beads[last], values[last]
+        self.at(int(beads[0]), float(values[0]))
+        new = np.flatnonzero(values[1:] != values[:-1]) + 1
+        self.bead.frombytes(beads[new].astype(np.int64).tobytes())
+        self.value.frombytes(values[new].astype(np.float64).tobytes())
 
 
 class Labels:
