@@ -140,7 +140,10 @@ def _drawn(by_bin: dict[tuple[str, int], list[bool]]) -> str:
             if not seen:
                 continue
             x, share, n = left + step * (place + 0.35 + 0.1 * number), sum(seen) / len(seen), len(seen)
-            middle, half = (share + 2 / n) / (1 + 4 / n), 2 * math.sqrt(share * (1 - share) / n + 1 / n**2) / (1 + 4 / n)
+            middle, half = (
+                (share + 2 / n) / (1 + 4 / n),
+                2 * math.sqrt(share * (1 - share) / n + 1 / n**2) / (1 + 4 / n),
+            )
             low_y, high_y = (top + high * (1 - v) for v in (max(middle - half, 0), min(middle + half, 1)))
             y = top + high * (1 - share)
             points.append(f"{x:.1f},{y:.1f}")
@@ -157,7 +160,9 @@ def main() -> None:
     put(DOCUMENT, "mixed", faults(mixed))
     put(DOCUMENT, "size", curve(mixed))
     # what follows an alarm is no clean check any more
-    told = [row["surprises"][: row["alarms"].get("moop", len(row["surprises"])) + 1] for row in clean if "surprises" in row]
+    told = [
+        row["surprises"][: row["alarms"].get("moop", len(row["surprises"])) + 1] for row in clean if "surprises" in row
+    ]
     sizes = np.array([x for row in told for x in row if x is not None])
     shares = ", ".join(f"{level:g}: {np.mean(sizes >= level):.2%}" for level in (0.3, 0.6, 1.0, DECISIVE))
     put(DOCUMENT, "tail", f"Of {len(sizes):,} clean checks, the share with a surprise of at least … {shares}. Were they "

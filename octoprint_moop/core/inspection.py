@@ -138,6 +138,7 @@ class Inspector:
         self._courses = Courses(settings.sensitivity)
         self._seen: dict[str | None, _Seen] = {}
         self._good_checks: dict[str | None, int] = {}
+        self._good_laid: dict[str | None, int] = {}
         self._hidden_checks: dict[str | None, int] = {}
         self._told_apart: set[str | None] = set()
         self._shown: Callable[[], Pictures] | None = None
@@ -237,7 +238,10 @@ class Inspector:
         layer = self._toolpath.layer_at(moment.file_pos)
         finer = max(1.0, window.size_px[0] / 640) / window.step
         tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step
-        sight = Sight(steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer)
+        laid_px = view.laid_px(moment, self._good_laid.get(moment.camera, 0)) / window.step**2
+        sight = Sight(
+            steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer, laid_px
+        )
         findings = find(sight, memory)
         hidden_now = findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px)
         hidden_before = self._hidden_checks.get(moment.camera, 0)
@@ -264,6 +268,7 @@ class Inspector:
         self.look, ruling = self._courses.rule(Look(comparison, scopes=findings.scopes), moment, name)
         assert ruling is not None
         if ruling.teaches:
+            self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)
             memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             if not moment.parked:
                 view.clearance.learn(window, moment.position_mm, observed & expected.mask & expected.head)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from octoprint_moop.core.decision.evidence import near_to, without_specks
+from octoprint_moop.core.decision.evidence import find, near_to, without_specks
 from octoprint_moop.core.expected.views import surroundings
 
 from .stage import LAYER_PX, SHAPE, Stage, moved, wall, walls
@@ -121,6 +123,23 @@ def test_a_thing_of_the_same_colour_away_from_the_print_is_not_stray():
     thing = np.zeros(SHAPE, bool)
     thing[60:80, 20:40] = True
     assert stage.look(12, walls(12) | thing).whole.stray_px == 0
+
+
+def test_more_than_was_laid_cannot_have_come():
+    """A sleeve of the filament's colour touches the print; a strand, or a wall that has moved, is as large as may be."""
+    stage = Stage().printed(12)
+    sleeve, strand = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
+    sleeve[120:180, 233:290] = True
+    strand[150:154, 234:262] = True
+
+    def stray_px(matter: np.ndarray, laid_px: float) -> int:
+        sight = replace(stage.sight(12, matter), laid_px=laid_px)
+        return find(sight, stage.memory).whole.stray_px
+
+    assert stray_px(walls(12) | sleeve, 200.0) == 0
+    assert stray_px(walls(12) | strand, 200.0) > 80
+    assert stray_px(walls(12) | sleeve, 3000.0) > 3000
+    assert stray_px(wall(1, 12) | moved(wall(0, 12), -40, 0), 10.0) > 900
 
 
 def test_what_hides_the_print_is_told_from_what_is_gone():

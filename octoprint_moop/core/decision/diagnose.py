@@ -22,7 +22,7 @@ LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown
 
 GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays bare
 OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
-FIRST_SHIFTED_RATIO, AS_GOOD = 0.3, 0.15
+FIRST_SHIFTED_RATIO, AS_GOOD = 0.4, 0.15
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
 LEAST_MOVE_MM = 2.5

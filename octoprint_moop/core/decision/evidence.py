@@ -18,6 +18,7 @@ the camera was moved and not the print.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -42,6 +43,10 @@ ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
 MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 32.0, 2.5, 12.0  # at up to 640 pixels across
 MOVED_LEFT, PIECE_PX = 0.25, 60
+LAID_TIMES, LOST_TIMES = (
+    1.5,
+    6.0,
+)  # strands stand up and a print that lies shows another side: by so much more may be seen
 WHOLE = -1
 
 
@@ -52,6 +57,7 @@ class Sight:
     frame_bgr : steadied and levelled; observed : 255 where filament is seen; ignored : 255 where nothing can be said
     layer     : the last layer of which something lies
     finer     : a length in a picture 640 pixels across is so many times longer in this one
+    laid_px   : so many pixels would be covered by what was laid since all was last well, spread out line beside line
     """
 
     frame_bgr: np.ndarray
@@ -62,6 +68,7 @@ class Sight:
     layer: int
     tolerance_px: float
     finer: float = 1.0
+    laid_px: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -239,12 +246,24 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
+    stray = _could_have_come(stray, sight.laid_px, int(np.count_nonzero(lost)))
     alike = _could_be_matter(lost | unseen | barren, wanted, observed & wanted & ~unchanged, look, memory.bare(window))
     lost, unseen, barren = lost & ~alike, unseen & ~alike, barren & ~alike
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
     )
     return Findings(window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, scopes)
+
+
+def _could_have_come(stray: np.ndarray, laid_px: float, lost_px: int) -> np.ndarray:
+    """The stray spots without those that are larger than all that can have come there: what was laid since all was well,
+    and what has gone from its place. A sleeve or a spool of the filament's colour is no matter of the print's."""
+    most_px = LAID_TIMES * laid_px + LOST_TIMES * lost_px
+    if np.count_nonzero(stray) <= most_px:
+        return stray
+    few = about(stray)
+    labels, areas_px = _spots(stray[few])
+    return placed(stray, few, (areas_px <= most_px)[labels])
 
 
 def _could_be_matter(

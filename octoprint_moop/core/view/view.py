@@ -196,6 +196,16 @@ class View:
         motion = cv2.findHomography(before_px, now_px)[0]
         return np.eye(3) if motion is None else motion
 
+    def laid_px(self, moment: Moment, since: int) -> float:
+        """How many pixels of the picture the beads from number `since` on would cover, side by side in the print's middle."""
+        ends, width = self._toolpath.beads_mm[since : self._toolpath.laid_at(moment.file_pos)], 6
+        area_mm2 = float((np.linalg.norm(ends[:, 3:5] - ends[:, :2], axis=1) * ends[:, width]).sum())
+        low, high = self._toolpath.bounds_mm()
+        middle = (low + high) / 2 + self._printer.bed.room_from_print_mm(moment.position_mm)
+        apart = self._camera.project(middle + np.vstack([np.zeros(3), np.eye(3)]))
+        px_per_mm = float(np.linalg.norm(apart[1:] - apart[0], axis=1).max())
+        return area_mm2 * px_per_mm**2 if np.isfinite(px_per_mm) else np.inf
+
     def place(self, moment: Moment) -> Place:
         """Where things lie at that moment, for a diagnosis."""
         window = self._window_at(self.expected(moment))
