@@ -12,6 +12,7 @@ import json
 import socket
 import threading
 import time
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Callable
 
@@ -83,6 +84,12 @@ def header() -> dict[str, Any]:
 def slid(mask: np.ndarray) -> np.ndarray:
     """The same matter, come off the bed and lying elsewhere."""
     return np.roll(mask, (10, 40), (0, 1))
+
+
+@lru_cache(maxsize=1)
+def huge_jpeg() -> bytes:
+    """40 megapixels."""
+    return cv2.imencode(".jpg", np.full((5500, 7300, 3), 120, np.uint8))[1].tobytes()
 
 
 class PaintedWebcam:
@@ -160,7 +167,7 @@ class PaintedWebcam:
                     "truncated": lambda: webcam.jpeg()[:9000],
                     "empty": lambda: b"",
                     "same": lambda: webcam._same,
-                    "huge": lambda: cv2.imencode(".jpg", np.full((5500, 7300, 3), 120, np.uint8))[1].tobytes(),
+                    "huge": huge_jpeg,
                 }.get(answer, webcam.jpeg)()
                 webcam._same = body
                 try:

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from .room import box_gcode
+from .room import box_gcode, huge_jpeg
 
 
 @pytest.mark.parametrize(
@@ -24,6 +24,7 @@ from .room import box_gcode
     ],
 )
 def test_a_webcam_without_a_usable_picture_never_stops_the_print(room, answer, told):
+    assert len(huge_jpeg()) > 100_000  # made before anybody waits for it
     path = room.print(box_gcode(layers=4))
     room.wait_checks(1)
     room.webcam.answer = answer

@@ -162,5 +162,5 @@ def test_a_large_file_that_is_printed_at_once_prints_at_once_and_is_watched_when
     assert status["blind_code"] == "reading" or status["job"] != path.name
     before = room.sent_pos()
     room.wait("the print goes on meanwhile", lambda: room.sent_pos() > before)
-    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name)
+    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name, 120)
     assert room.wait_checks(1)[0]["verdict"] == "ok"

@@ -231,7 +231,7 @@ def test_an_eye_without_memory_ends_and_another_one_goes_on(room):
     for pid in before:
         resource.prlimit(pid, resource.RLIMIT_AS, (1 << 20, resource.RLIM_INFINITY))
     room.server.upload(path)
-    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name)
+    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name, 120)
     now = set(eye_pids(room))
     for pid in before & now:  # that of the set-up
         resource.prlimit(pid, resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
@@ -250,7 +250,7 @@ def test_an_eye_that_is_killed_while_it_reads_is_started_again(room):
     room.wait("reading", lambda: room.status["reading"] is not None)
     for pid in eye_pids(room):
         os.kill(pid, signal.SIGKILL)
-    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name)
+    room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name, 120)
 
 
 def test_many_prints_in_a_row_leave_nothing_behind(room):
