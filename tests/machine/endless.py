@@ -62,6 +62,7 @@ class Endless:
 
     def close(self) -> None:
         self.watch.stop()
+        self.watch._thread.join(120)
         self.eye.close()
 
     def print(self, job: Path, header: dict[str, Any], ends: Iterable[int]) -> int:
@@ -75,13 +76,13 @@ class Endless:
                 continue
             self.watch.holds.line_sent("M114", sent[-1][2])
             self.watch.holds.line_received("ok X:2.00 Y:198.00 Z:0.30 E:1.00 Count")
-            assert self.printer.let_go.wait(30), self.ledger.status
+            assert self.printer.let_go.wait(120), self.ledger.status
         self.watch.job_over("done")
         self.wait(lambda: self.ledger.status["blind_code"] == "idle")
         assert self.printer.holds == 0
         return len(self.ledger.checks)
 
-    def wait(self, condition: Callable[[], Any], timeout_s: float = 60.0) -> None:
+    def wait(self, condition: Callable[[], Any], timeout_s: float = 120.0) -> None:
         until_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < until_s, self.ledger.status
