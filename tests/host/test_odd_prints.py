@@ -36,6 +36,8 @@ def test_a_printer_that_never_reports_its_position_prints_on_unwatched(room):
         room.wait_done()
         assert room.checks == []
         assert room.sent_of_file() == path.read_text().splitlines()
+        ours = {command for command, tags in room.sent() if any(tag.startswith("moop:") for tag in tags)}
+        assert ours == {"M400", "M114"}, "nothing is moved while nobody knows from where"
     finally:
         room.save(settle_timeout_s=5)
         room.reconnect(m114FormatString="X:{x} Y:{y} Z:{z} E:{e[current]} Count: A:{a} B:{b} C:{c}")

@@ -201,7 +201,14 @@ $(function () {
                 self.addCheck(message.check);
             } else if (message.type === "failed" && words.failureStands(self.status())) { // not resumed meanwhile
                 self.failure.notify(message.check, message.action);
+            } else if (message.type === "suspect") { // told only where the settings ask for it
+                self.warn(words.say("MOOP suspects something"), message.check.reason);
+            } else if (message.type === "unwatched") {
+                self.warn(words.say("MOOP could not watch this print"), message.reason);
             }
+        };
+        self.warn = function (title, text) {
+            new PNotify({title: title, text: text, text_escape: true, type: "notice", hide: false});
         };
         /* OctoPrint's assistant has shown our page: what it announces opens of itself. */
         self.onWizardFinish = function () {
