@@ -68,6 +68,13 @@ class _Field:
         along = cv2.matchTemplate(self.border, self.outline, cv2.TM_CCORR) / self.outline.sum()
         return inside + _BORDER_WEIGHT * along
 
+    def support(self, row: int, column: int, cut: int) -> float:
+        """Mean evidence within the mask that lies at (row, column) and lacks its uppermost `cut` rows."""
+        height, width = self.shape.shape
+        shape = self.shape[cut:]
+        within = self.evidence[row + cut : row + height, column : column + width] * shape
+        return float(within.sum() / max(float(shape.sum()), 1e-6))
+
     def cut(self, row: int, column: int) -> tuple[float, int]:
         """The best gain of taking rows away from the top of the mask that lies at (row, column), and how many."""
         height, width = self.shape.shape
@@ -186,6 +193,5 @@ def explain(evidence: np.ndarray, expected: np.ndarray, colours: np.ndarray) -> 
     if move_x or move_y:
         shift = np.array([[1, 0, move_x * step], [0, 1, move_y * step]], np.float32)
         mask = cv2.warpAffine(mask, shift, mask.shape[::-1], flags=cv2.INTER_NEAREST)
-    inside = evidence[mask > 0]
-    support = float(np.clip(inside, -_CLIP, _CLIP).mean()) if inside.size else 0.0
+    support = field.support(reach_y + move_y, reach_x + move_x, cut)
     return Explanation(mask, support, (move_x * step, move_y * step), cut * step)
