@@ -72,10 +72,8 @@ def segment(
         if distorted:
             raise click.UsageError("--distorted is for a RECORDING: images are never undistorted.")
         region = _region(box)
-        if filament or background:
-            learned = _learn_from_points(learn, filament, background, region)
-        else:
-            learned = _learn(learn, region)
+        clicked = filament or background
+        learned = _learn_from_points(learn, filament, background, region) if clicked else _learn(learn, region)
         _segment_images(images, learned, expected, out)
 
 

@@ -23,7 +23,8 @@ def job_text(job: Path) -> Iterator[Text]:
         file: IO[bytes] = stack.enter_context(open(job, "rb"))
         if job.suffix == ".gz":
             packed, file = file, stack.enter_context(tempfile.TemporaryFile())
-            shutil.copyfileobj(gzip.open(packed), file, _BLOCK_BYTES)
+            with gzip.open(packed) as unpacked:
+                shutil.copyfileobj(unpacked, file, _BLOCK_BYTES)
         if not _is_utf8(file):
             strange, file = file, stack.enter_context(tempfile.TemporaryFile())
             _replaced(strange, file)

@@ -32,7 +32,8 @@ def test_json_is_what_the_contract_says(tmp_path):
     said = json.loads(result.stdout)
     assert said.pop("seconds") >= 0
     assert said == {
-        "layers": 1, "segments": 2, "bounds_mm": [[10.0, 20.0, 0.2], [30.0, 40.0, 0.2]], "filament_mm": 2.0, "filament_own_mm": 0.0,
+        "layers": 1, "segments": 2, "bounds_mm": [[10.0, 20.0, 0.2], [30.0, 40.0, 0.2]], "filament_mm": 2.0,
+        "filament_own_mm": 0.0,
         "objects": ["ring id:0 copy 0"], "slicer": "PrusaSlicer 2.5.0", "bytes": len(GCODE),
     }  # fmt: skip
 

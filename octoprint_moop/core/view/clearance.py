@@ -54,7 +54,7 @@ class Clearance:
             if its_window == window and before.way @ pose.way >= ALIKE_COSINE:
                 larger = before.depth_mm / pose.depth_mm
                 motion = np.column_stack([np.eye(2) * larger, pose.at_px - larger * before.at_px])
-                votes += cv2.warpAffine(matter, motion, window.shape[::-1]) // 128
+                votes += (cv2.warpAffine(matter, motion, window.shape[::-1]) // 128).astype(np.uint8)
         free = np.where(votes >= AGREEING, np.uint8(255), np.uint8(0))
         edge = 2 * round(EDGE_PX * max(1.0, window.size_px[0] / 640) / window.step) + 1
         return cv2.erode(free, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (edge, edge)))
