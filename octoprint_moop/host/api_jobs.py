@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import flask
 from octoprint.access.permissions import Permissions
 from octoprint.plugin import BlueprintPlugin
-from octoprint.settings import settings as octoprint_settings
 
 from ..core.errors import MeshError
 from ..machine.link import EyeLink
 from ..machine.meshes import MOST_BYTES, Meshes
 from ..machine.watch import Watch
-from .routes import body
+from .routes import body, sent_file
 
 LOOK_S = 300.0
-UPLOAD_PREFIX = "octoprint-file-upload-"
 SHOWN = ("name", "bytes", "triangles", "size_mm", "use", "x_mm", "y_mm", "turn_deg", "layer_height_mm", "notes")
 CHOICES = ("use", "x_mm", "y_mm", "turn_deg", "layer_height_mm")
 
@@ -35,7 +32,7 @@ class MoopJobsApi(BlueprintPlugin):
     _meshes_lock: threading.Lock
 
     def body_sizes(self, current: Any, *args: Any, **kwargs: Any) -> list[tuple[str, str, int]]:
-        return [("POST", r"/mesh", MOST_BYTES + 65536)]
+        return [("POST", path, MOST_BYTES + 65536) for path in (r"/mesh", r"/calibrate/markers/model")]
 
     @BlueprintPlugin.route("/mesh", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
@@ -48,7 +45,7 @@ class MoopJobsApi(BlueprintPlugin):
     def post_mesh(self) -> Any:
         """Attach the `file` of a form; it is used from now on, placed by the G-code's bounds."""
         job = self._needed_job(flask.request.values)
-        name, stream = _sent_file()
+        name, stream = sent_file()
         with stream, self._meshes_lock:
             file = self._meshes.store(stream, name)
             try:
@@ -134,17 +131,3 @@ class MoopJobsApi(BlueprintPlugin):
         if job["origin"] != "local":
             return None
         return str(self._file_manager.path_on_disk("local", job["path"]))
-
-
-def _sent_file() -> tuple[str, IO[bytes]]:
-    """The file of a form, with its name. OctoPrint's server has put it on disk and tells where."""
-    uploads = octoprint_settings().get(["server", "uploads"], merged=True) or {}
-    path = flask.request.form.get(f"file.{uploads.get('pathSuffix', 'path')}")
-    name = flask.request.form.get(f"file.{uploads.get('nameSuffix', 'name')}")
-    # The server refuses a request that names a path itself; looking twice at which file is read costs nothing.
-    if path and name and Path(path).name.startswith(UPLOAD_PREFIX):
-        return Path(name).name, open(path, "rb")
-    sent = flask.request.files.get("file")
-    if sent is None or not sent.filename:
-        flask.abort(400, "A form with a `file` is needed.")
-    return Path(sent.filename).name, sent.stream

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import shutil
+import tempfile
 import threading
+from pathlib import Path
 from typing import Any
 
 import flask
@@ -20,7 +23,7 @@ from ..machine.link import EyeLink
 from ..machine.setups import Setups
 from ..machine.watch import Watch
 from ..machine.webcam import Webcam
-from .routes import body, picture_response
+from .routes import body, picture_response, sent_file
 
 QUICK_S, LONG_S = 30.0, 300.0
 MATERIAL = ("hue_min_deg", "hue_max_deg", "saturation_min", "value_min")
@@ -42,6 +45,7 @@ class MoopSetupApi(BlueprintPlugin):
     _lens_pictures: dict[int, bytes]
     _lens_found: dict[int, dict[str, Any]]
     _lens_last: bytes
+    _marked_model: bytes
     _pose_picture: bytes
     _pose_position_mm: tuple[float, float, float] | None
     _bench_lock: threading.Lock
@@ -119,6 +123,32 @@ class MoopSetupApi(BlueprintPlugin):
         path = self._file_manager.add_file("local", MARKERS_FILE, file, allow_overwrite=True)
         self._found.put("markers", "", made["markers"])
         return flask.jsonify(file=path, markers=made["markers"])
+
+    @BlueprintPlugin.route("/calibrate/markers/model", methods=["POST"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def post_markers_model(self) -> Any:
+        """Puts ring markers around the model in the form's `file`, so that each print of it calibrates anew."""
+        name, stream = sent_file()
+        with stream, tempfile.TemporaryDirectory() as folder:
+            model = Path(folder) / f"model{Path(name).suffix.lower()[:8]}"
+            with model.open("wb") as target:
+                shutil.copyfileobj(stream, target)
+            made, blobs = self._bench_eye.ask(
+                "markers_around", timeout_s=LONG_S, printer=self._printer_geometry(), model=str(model)
+            )
+        self._marked_model = blobs[0]
+        self._found.put("markers", "", made["markers"])
+        return flask.jsonify(markers=made["markers"], bytes=len(blobs[0]))
+
+    @BlueprintPlugin.route("/calibrate/markers/model.stl", methods=["GET"])
+    @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
+    def get_markers_model(self) -> Any:
+        """The model with markers that was made last."""
+        if not self._marked_model:
+            flask.abort(404, "No model with markers was made since the server started.")
+        response = picture_response(self._marked_model, "model/stl")
+        response.headers["Content-Disposition"] = 'attachment; filename="model-with-markers.stl"'
+        return response
 
     # --- the lens -------------------------------------------------------------------------------------------------
 

@@ -69,6 +69,17 @@ def markers(blobs: list[bytes], printer: dict[str, Any], plate: dict[str, Any]) 
     return {"markers": made.to_json()}, [gcode.encode()]
 
 
+def markers_around(blobs: list[bytes], printer: dict[str, Any], model: str) -> Answer:
+    """A model with ring markers around it, STL, and where the markers will lie once it is sliced. model: its path."""
+    from ..core.calibration.plate import PlateSettings
+    from ..core.calibration.plate_mesh import model_with_markers
+
+    mesh, made = model_with_markers(model, Printer.from_json(printer), PlateSettings())
+    stl = mesh.export(file_type="stl")
+    assert isinstance(stl, bytes)  # as it is for a binary format
+    return {"markers": made.to_json()}, [stl]
+
+
 def board_picture(blobs: list[bytes], board: str, square_mm: float) -> Answer:
     """A checkerboard to print on paper, SVG."""
     from ..core.calibration.board import board_svg
@@ -221,6 +232,6 @@ QUESTIONS = {
     question.__name__: question
     for question in (
         *(segment, validate, printer, markers, board_picture, find_board, lens, pose, points, bed_motion, guides),
-        *(mesh, shrink, replay),
+        *(markers_around, mesh, shrink, replay),
     )
 }

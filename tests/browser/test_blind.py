@@ -39,9 +39,7 @@ def codes() -> list[str]:
 def blind(page: Any, canned: Canned, code: str, why: str) -> None:
     """As if the server had told it over the socket."""
     canned.print_of(check(3), blind=why, blind_code=code, watching=False)
-    page.evaluate(
-        "status => ko.dataFor(document.getElementById('moop_watch')).takeStatus(status)", canned.status
-    )
+    page.evaluate("status => ko.dataFor(document.getElementById('moop_watch')).takeStatus(status)", canned.status)
 
 
 def test_every_reason_has_its_words_and_its_button(canned: Canned, open_tab: Open) -> None:
@@ -50,7 +48,9 @@ def test_every_reason_has_its_words_and_its_button(canned: Canned, open_tab: Ope
     assert set(codes()) == set(page.evaluate("MOOP.blind.codes"))
     for code in codes():
         blind(page, canned, code, f"It is because of {code}.")
-        assert f"Nobody is watching this print: It is because of {code}." in page.inner_text("[data-test-id=moop-state]")
+        assert f"Nobody is watching this print: It is because of {code}." in page.inner_text(
+            "[data-test-id=moop-state]"
+        )
         assert len(page.inner_text("[data-test-id=moop-blind-advice]")) > 20, code
         assert page.is_visible("[data-test-id=moop-mend]") and page.inner_text("[data-test-id=moop-mend]"), code
 

@@ -42,11 +42,15 @@ def attached(server: DemoServer) -> Any:
     return server.api("GET", "/plugin/moop/mesh")["mesh"]
 
 
-def test_a_model_is_attached_placed_left_unused_and_taken_off(job_page: Any, server: DemoServer, tmp_path: Path) -> None:
+def test_a_model_is_attached_placed_left_unused_and_taken_off(
+    job_page: Any, server: DemoServer, tmp_path: Path
+) -> None:
     page = job_page
     page.evaluate("document.getElementById('moop_mesh').open = true")
     page.set_input_files("[data-test-id=moop-mesh-file]", model(tmp_path / "<b>box.stl"))
-    page.wait_for_selector("[data-test-id=moop-mesh-summary]:has-text('Compared with the 3D model <b>box.stl')", timeout=60_000)
+    page.wait_for_selector(
+        "[data-test-id=moop-mesh-summary]:has-text('Compared with the 3D model <b>box.stl')", timeout=60_000
+    )
     assert "30.8 x 30 x 2.4 mm, 12 triangles" in page.inner_text("[data-test-id=moop-mesh-details]")
     page.fill("[data-test-id=moop-mesh-x_mm]", "100")
     page.fill("[data-test-id=moop-mesh-y_mm]", "99,6")

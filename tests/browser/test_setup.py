@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from octoprint_moop.core.calibration.markers import MarkerPlate
 from octoprint_moop.core.camera import Camera
@@ -291,6 +292,18 @@ def test_the_markers_are_made_printed_and_give_the_right_place(page: Any, stage:
     found = Camera.from_json(setup_says(page, "place.found()"))
     off_px = apart_px(found, stage.camera)
     assert off_px.mean() < 1.0 and off_px.max() < 2.0
+
+
+def test_a_model_comes_back_with_markers_around_it(page: Any, tmp_path: Path) -> None:
+    idle(page)
+    (tmp_path / "cube.stl").write_bytes(trimesh.creation.box(extents=(20, 20, 20)).export(file_type="stl"))
+    page.click("[data-test-id=moop-markers-model] summary")
+    page.set_input_files("[data-test-id=moop-markers-model-file]", tmp_path / "cube.stl")
+    with page.expect_download() as download:
+        page.click("[data-test-id=moop-markers-model-get]", timeout=60_000)
+    download.value.save_as(tmp_path / "marked.stl")
+    marked = trimesh.load(tmp_path / "marked.stl")
+    assert marked.body_count == 5 and marked.bounds[1][2] == pytest.approx(20)
 
 
 def test_the_beds_motion_is_measured_once_the_person_has_agreed(page: Any, stage: Stage) -> None:

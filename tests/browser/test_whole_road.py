@@ -135,6 +135,11 @@ def test_the_past_print_can_be_opened_and_tried_with_other_settings(tab: Any, de
     told = tab.inner_text("[data-test-id=moop-past-outcome]")
     assert "During the print: a failure at layer" in told
     tab.wait_for_function("ko.dataFor(document.getElementById('moop_past')).opened.view.hasMasks()")
+    before = tab.evaluate("ko.dataFor(document.getElementById('moop_past')).opened.run")
+    tab.select_option("[data-test-id=moop-past-sensitivity]", "high")  # tried without another click
+    tab.wait_for_function(f"ko.dataFor(document.getElementById('moop_past')).opened.run === {before + 1}", timeout=60_000)
+    tab.select_option("[data-test-id=moop-past-sensitivity]", "low")
+    tab.wait_for_function(f"ko.dataFor(document.getElementById('moop_past')).opened.run === {before + 2}", timeout=60_000)
     classes = tab.evaluate("MOOP.overlay.counts(ko.dataFor(document.getElementById('moop_past')).opened.view.picture.classes)")
     assert classes["matched"] > 0
     with tab.expect_response(lambda answer: answer.url.endswith("/api/settings") and answer.request.method == "POST"):

@@ -66,8 +66,12 @@
     };
 
     MoopClient.prototype.attachMesh = function (file) {
-        // unlike all others, uploads hand their answers over as lists
-        return this.base.upload(this.route("mesh"), file).then(
+        return this.sendFile(this.route("mesh"), file);
+    };
+
+    /* Unlike all other calls, OctoPrint's uploads hand their answers over as lists. */
+    MoopClient.prototype.sendFile = function (url, file) {
+        return this.base.upload(url, file).then(
             function (answer) { return answer[0]; },
             function (refused) { return $.Deferred().reject(refused[0]); }
         );
@@ -138,6 +142,15 @@
     /* Puts the marker plate's G-code among OctoPrint's files: {file, markers}. */
     MoopClient.prototype.makeMarkers = function (plate, opts) {
         return this.base.postJson(this.route("calibrate", "markers"), plate, opts);
+    };
+
+    /* Puts ring markers around a model: {markers}; the model is fetched from the address below. */
+    MoopClient.prototype.putMarkersAround = function (file) {
+        return this.sendFile(this.route("calibrate", "markers", "model"), file);
+    };
+
+    MoopClient.prototype.markedModelUrl = function () {
+        return this.address("calibrate", "markers", "model.stl");
     };
 
     /* Where the bed's grid and a box on it must be seen: {lines: [{what, px: [[u, v], …]}, …]}. */

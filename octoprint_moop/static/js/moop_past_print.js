@@ -3,6 +3,7 @@
     const TRIED = ["sensitivity", "hue_min_deg", "hue_max_deg", "saturation_min", "value_min"];
     const POLL_MS = 700;
     const QUICK_MS = 4000; // a replay that took no longer is made anew at each touch of a slider
+    const KEPT = ["sensitivity"]; // what these change is concluded anew from what the last replay has seen, in a moment
 
     /* past: the view model of the list. */
     function PastPrint(past) {
@@ -66,7 +67,7 @@
         self.touched = self.touched || ko.computed(function () { return JSON.stringify(self.askedSettings()); })
             .extend({rateLimit: {timeout: 250, method: "notifyWhenChangesStop"}});
         self.listening = self.listening || self.touched.subscribe(function () {
-            if (self.row() && self.again() && self.took_ms < QUICK_MS) {
+            if (self.row() && self.again() && self.isQuick()) {
                 self.replay();
             }
         });
@@ -104,6 +105,13 @@
         });
     };
 
+    /* Whether what has been changed since the last replay can be tried at once. */
+    PastPrint.prototype.isQuick = function () {
+        const before = this.replayed || {};
+        const changed = _.keys(_.pick(this.askedSettings(), function (value, name) { return value !== before[name]; }));
+        return changed.length > 0 && (this.took_ms < QUICK_MS || _.difference(changed, KEPT).length === 0);
+    };
+
     /* Asks what these settings would have found. While one answer is awaited, the newest wish waits behind it. */
     PastPrint.prototype.replay = function () {
         const self = this;
@@ -117,7 +125,8 @@
         self.busy(true);
         self.progress(null);
         self.poll(name);
-        OctoPrint.plugins.moop.replay(name, self.askedSettings())
+        self.replayed = self.askedSettings();
+        OctoPrint.plugins.moop.replay(name, self.replayed)
             .done(function (answer) {
                 if (!self.row() || self.row().name !== name) {
                     return; // another print was opened meanwhile

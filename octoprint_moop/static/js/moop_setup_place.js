@@ -121,6 +121,22 @@
                 .fail(setup.tell)
                 .always(function () { setup.busy(""); });
         };
+        self.marked = ko.observable(""); // address of the model with markers, once it is made
+        self.putMarkersAround = function (_model, event) {
+            const file = event.target.files[0];
+            event.target.value = "";
+            if (!file) {
+                return;
+            }
+            setup.busy("markers");
+            OctoPrint.plugins.moop.putMarkersAround(file)
+                .done(function () {
+                    setup.trouble("");
+                    self.marked(OctoPrint.plugins.moop.markedModelUrl());
+                })
+                .fail(setup.tell)
+                .always(function () { setup.busy(""); });
+        };
         self.showGuides = function () {
             const camera = self.found() || setup.header().camera;
             if (!camera) {

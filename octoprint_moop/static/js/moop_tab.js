@@ -22,6 +22,7 @@ $(function () {
         self.busy = ko.observable("");
         self.trouble = ko.observable("");
         self.cameraKnown = ko.observable(null); // null: not asked yet
+        self.stale = ko.observableArray([]); // why the calibration may not hold any more
 
         // OctoPrint fills in the permissions after the view models are made, so they are looked up when asked
         const allowed = function (name) {
@@ -141,8 +142,11 @@ $(function () {
             if (!self.visible()) {
                 return;
             }
-            if (self.mayCalibrate() && self.cameraKnown() !== true) {
-                OctoPrint.plugins.moop.setup().done(function (header) { self.cameraKnown(Boolean(header.camera)); });
+            if (self.mayCalibrate()) {
+                OctoPrint.plugins.moop.setup().done(function (header) {
+                    self.cameraKnown(Boolean(header.camera));
+                    self.stale(header.calibration ? header.calibration.stale : []);
+                });
             }
             self.mesh.load();
             OctoPrint.plugins.moop.checks()
