@@ -191,13 +191,13 @@ class Demo:
     def _scene(self, toolpath: Toolpath, faults: tuple[Fault, ...]) -> Scene:
         return Scene(toolpath, demo_camera(), BED, faults=faults, nuisances=self._nuisances, seed=self._seed)
 
-    def set_off(self, kind: str) -> str:
-        """Lets something go wrong from the next layer on; "none" mends everything. Returns a sentence."""
+    def set_off(self, kind: str, object_index: int | None = None) -> str:
+        """Lets something go wrong with one object, or all, from the next layer on; "none" mends all. Returns a sentence."""
         if kind == "none":
             self.scene.faults = ()
             return "All is well with the print again."
         layer = self.scene.layer_at(notebook.read(self._notebook)[0]) + 1
-        self.scene.faults += (Fault(kind, layer),)
+        self.scene.faults += (Fault(kind, layer, object_index),)
         return f"{kind} from layer {layer} on."
 
     def _post(self, path: str) -> str | None:
