@@ -80,7 +80,7 @@ def test_a_default_is_one_click_away(settings_page: Any) -> None:
 
 def test_a_click_on_the_filament_takes_its_colour(settings_page: Any) -> None:
     page = settings_page()
-    page.wait_for_selector("text=Click on the filament in the picture.")
+    page.wait_for_selector("#moop_settings_filament .moop-note:has-text('Click on the filament')")
     canvas = page.locator("#moop_settings_filament .moop-picture")
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()

@@ -84,12 +84,12 @@ def test_a_print_that_comes_loose_is_seen_told_and_goes_on_watched_when_the_user
 
 
 def test_octoprints_own_resume_accepts_what_was_found_and_what_is_new_is_found_again(tab: Any, demo: Demo) -> None:
-    demo.set_off("layer_shift")
+    demo.set_off("detachment", 0)  # the other object, this time
     wait_for_text(tab, "state-text", "Print paused", 90)
     demo.server.wait_state({"Paused"}, 30)
     tab.click("#job_pause")
     demo.server.wait_state({"Printing"}, 30)
-    wait_for_checks(tab, demo, 6)
+    wait_for_checks(tab, demo, 3)
     assert not tab.is_visible("[data-test-id=moop-failure]")
     tab.wait_for_selector(".ui-pnotify:has-text('MOOP')", state="detached")
     demo.server.api("POST", "/api/job", json={"command": "cancel"})

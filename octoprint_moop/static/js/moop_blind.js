@@ -23,7 +23,7 @@
         // machine/blindness.py
         idle: ["Watching begins with the next print.", "Look again", "refresh"],
         reading: ["Watching begins as soon as the file is read; a big one takes a minute or two.", "Look again", "refresh"],
-        not_local: ["Upload the file to OctoPrint and print it from there.", FILES],
+        not_local: ["Print it from OctoPrint's own files, or attach its 3D model and its layer height.", "Choose the model", "mesh"],
         not_set_up: ["Show it once where the camera stands: that takes some minutes, and holds from the next print on.",
             "Set it up", "setup:camera"],
         off: ["You can watch this print all the same.", "Watch this print", "watch"],
