@@ -42,7 +42,7 @@ BENCHMARKS = {
     "roads": Benchmark("the mesh against the G-code", "rendered", (_script("roads", "--write", *CASES),)),
     "check": Benchmark("what a whole check costs", "rendered", (_script("check", "--cases", f"{SHARED}/cases", "--write"),)),
     "eye_memory": Benchmark("memory with a large job", "none", (_script("eye_memory", "--write"),)),
-    "calibration": Benchmark("lens and pose", "rendered and drawn", (_script("calibration", "--shared", SHARED),)),
+    "calibration": Benchmark("lens and pose", "rendered and drawn", (_script("calibration", "--shared", SHARED, "--write"),)),
     "selfcheck": Benchmark("a calibration that is off, put right by the print", "rendered", (
         _script("selfcheck", "--shared", SHARED, "--write"),)),
     "segmentation": Benchmark("which pixels are filament", "photographed and rendered", (

@@ -1,6 +1,6 @@
-"""How well lens and pose are found. JSON on standard output.
+"""How well lens and pose are found. JSON on standard output; `--write` keeps it, and puts the drawn cameras' table into the document.
 
-python -m benchmarks.calibration [--cameras 240] [--shared ../shared]
+    python -m benchmarks.calibration [--cameras 210] [--shared ../shared] [--write]
 
 Drawn: random cameras and plates of which everything is known (`tests/drawn.py`), a sixth of them for each condition.
 Rendered: the path-traced pictures of the shared recordings. Beside each pose: the naive method, which takes an
@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.tables import ROOT, put, save, table
 from octoprint_moop.core.calibration.assign import assignments
 from octoprint_moop.core.calibration.calibrate import Lens, calibrate_lens, lens_difference_px
 from octoprint_moop.core.calibration.chessboard import Board
@@ -128,14 +129,39 @@ def _mean_max(error_px: np.ndarray) -> list[float]:
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--cameras", type=int, default=240)
+    options.add_argument("--cameras", type=int, default=210)
     options.add_argument("--seed", type=int, default=4)
     options.add_argument("--shared", type=Path, default=Path(__file__).resolve().parents[2] / "shared")
+    options.add_argument("--write", action="store_true")
     chosen = options.parse_args()
     report: dict[str, Any] = {"drawn": drawn(chosen.cameras, chosen.seed)} if chosen.cameras else {}
     cases = sorted((chosen.shared / "cases").glob("*/recording.json"))
     report["rendered"] = {case.parent.name: rendered(case.parent) for case in cases}
     print(json.dumps(report, indent=1))
+    if chosen.write:
+        command = f"python -m benchmarks.calibration --cameras {chosen.cameras} --seed {chosen.seed} --write"
+        save("calibration", command, "rendered and drawn", report)
+        if chosen.cameras:
+            put(ROOT / "docs" / "calibration.md", "calibration-drawn", drawn_table(report["drawn"]))
+
+
+def drawn_table(report: dict[str, Any]) -> str:
+    head = ["condition", "cameras", "solved", "refused", "max > 3 px", "max < 1 px", "mean px: median, 90 %, worst", "naive, median"]
+    rows = []
+    for name in ("all", *CONDITIONS):
+        one = report[name]
+        median, most, _, worst = one["mean_px p50 p90 p99 max"]
+        naive = one["naive mean_px p50 p90 p99 max"]
+        rows.append([
+            name, one["cameras"], one["solved"], one["refused"], one["wrong (max > 3 px)"], one["max below 1 px"],
+            f"{median:.2f}, {most:.2f}, {worst:.2f}", naive and round(naive[0], 2),
+        ])  # fmt: skip
+    everything = report["all"]
+    ratio, seconds = everything["true over said error p50 p90"], everything["seconds p50 p90 p99 max"]
+    return (
+        f"{table(head, rows)}\n\nThe true error is {ratio[0]} times the told one in the median, {ratio[1]} times at the 90th percentile. "
+        f"A pose takes {seconds[0]:.1f} s in the median, {seconds[1]:.1f} s at the 90th percentile, {seconds[3]:.1f} s at worst."
+    )
 
 
 if __name__ == "__main__":

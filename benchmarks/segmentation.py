@@ -203,7 +203,7 @@ def measure(one: Print, figures: Figures, number: int, others: bool = True) -> N
     for i in one.others():
         frame, truth = one.frames[i], one.masks[i]
 
-        def add(what: str, seen: np.ndarray) -> None:
+        def add(what: str, seen: np.ndarray, truth: np.ndarray = truth) -> None:
             figures.add(what, one, iou(seen, truth, one.box))
 
         if others:

@@ -2,7 +2,7 @@
 
     python docs/make_figures.py ../shared/cases/dtu-paper ../shared/cases/cube-clean [--folder docs/images]
 
-The first recording fails, the second doesn't. Needs matplotlib (`pip install -e ".[develop]"`); about half a minute.
+The first recording fails, the second doesn't. Needs matplotlib (`pip install -e ".[figures]"`); about half a minute.
 """
 
 from __future__ import annotations
