@@ -144,17 +144,23 @@ def test_a_print_from_the_printers_own_storage_is_watched_by_a_model(room, job):
     text = "G1 Z2.4 F3000\nG1 X2 Y198 F9000\n" + "\n" * 1_500_000
     (storage / "box_of_the_printer.gcode").write_text(text)
     room.server.api("POST", "/api/printer/sd", json={"command": "refresh"})
-    files = room.wait("the storage is listed", lambda: [
-        file["path"] for file in room.server.api("GET", "/api/files/sdcard")["files"] if "box" in file["path"].lower()
-    ])  # fmt: skip
-    form = {"origin": "sdcard", "path": files[0]}
+
+    def listed() -> list[tuple[str, str]]:
+        for storage in ("sdcard", "printer"):  # OctoPrint 1.11's name for it, and 2.0's
+            answer = room.server.request("GET", f"/api/files/{storage}")
+            if answer.ok:
+                return [(storage, file["path"]) for file in answer.json()["files"] if "box" in file["path"].lower()]
+        return []
+
+    ((origin, path),) = room.wait("the storage is listed", listed)
+    form = {"origin": origin, "path": path}
     assert attach(room, model((30.8, 30.0, 12.0)), **form).status_code == 200
     room.moop("POST", "mesh/choice", json={**form, "x_mm": 100, "y_mm": 99.6, "layer_height_mm": 0.3})
     room.webcam.look_at(job)
     before, room.webcam.file_pos = room.webcam.file_pos, lambda: 10**9
     room.save(longest_s=0.5)
     try:
-        room.server.api("POST", f"/api/files/sdcard/{files[0]}", json={"command": "select", "print": True})
+        room.server.api("POST", f"/api/files/{origin}/{path}", json={"command": "select", "print": True})
         checks = room.wait_checks(2, 60)
         assert room.status["road"] == "height"
     finally:
