@@ -29,7 +29,7 @@ from .view.view import MOVED_PX, View, moved_sentence
 NEAR_PX = 16  # how far about all that is expected and seen edges are looked for, and a little more
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
-HIDDEN_CHECKS = 2  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
+HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
 SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by

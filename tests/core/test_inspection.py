@@ -177,8 +177,7 @@ def test_what_seems_hidden_check_after_check_is_judged_in_the_end(detached, monk
     found = inspection.find
     monkeypatch.setattr(inspection, "find", lambda *seen: replace(found(*seen), hidden_px=100_000))
     verdicts = [inspector.check(recording.frame(moment), moment).verdict for moment in recording.moments[8:14]]
-    assert verdicts[:2] == ["unusable", "unusable"]
-    assert verdicts[2:4] == ["suspect", "failed"]  # it has come off at layer 10
+    assert verdicts == ["unusable"] * 5 + ["suspect"]  # it has come off at layer 10
 
 
 @pytest.mark.parametrize("thresholds", [HsvThresholds(100, 140, 0.5, 0.3), HsvThresholds(0, 360, 0.0, 0.0)])
