@@ -33,6 +33,7 @@ HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something to
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
 SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
+DRIFT_LEAST = 4.0  # grey levels by which a place where nothing came has not changed
 FLOODED = 1.5  # times the complete print: so much too much matter is no print's but the bed taken for filament
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 
@@ -336,7 +337,12 @@ def _tells_apart(findings: Findings, memory: Memory, tolerance_px: float) -> boo
         return False
     if missing_px <= (1 - SEEN_LEAST) * wanted_px:
         return True
-    return 2 * np.count_nonzero(memory.looks_bare(findings.window, findings.look, missing)) > missing_px
+    window, look = findings.window, findings.look
+    if 2 * np.count_nonzero(memory.looks_bare(window, look, missing)) <= missing_px:
+        return False
+    # each pixel looks bare; but where filament hardly darker or brighter than the bed lies, all of them have changed a little
+    far, close = (cv2.dilate(findings.wanted.view(np.uint8), disc(n * tolerance_px)) > 0 for n in (6, 2))
+    return memory.drift(window, look, missing, far & ~close & findings.known & ~seen) < DRIFT_LEAST
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,18 @@ class Memory:
         still = self._has_bare[window][few] & ~self._has_covered[window][few]
         return placed(where, few, still & (_apart(look, self._bare, window, few) < UNCHANGED))
 
+    def drift(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> float:
+        """Grey levels by which the pixels `where` have changed since they were bare, on average, less what those `beside` have.
+
+        Of the channel that has changed most. What noise hides in one pixel, hundreds of them show.
+        """
+        has_bare = self._has_bare[window]
+        where, beside = where & has_bare, beside & has_bare
+        if not (where.any() and beside.any()):
+            return 0.0
+        changes = [now.astype(np.float32) - bare for now, bare in zip(look, self.bare(window))]
+        return max(abs(float(change[where].mean() - change[beside].mean())) for change in changes)
+
     def looks_strange(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
         if not where.any():
