@@ -63,6 +63,21 @@ def test_dark_filament_on_a_dark_sheet_is_unusable_with_the_reason(tmp_path):
     assert found[-1].verdict == "unusable" and "look alike" in found[-1].reason
 
 
+@pytest.mark.parametrize("faults, said", [((), "unusable"), ((Fault("extrusion_stop", 0),), "failed")])
+def test_filament_hardly_brighter_than_the_bed_is_told_from_nothing_at_all(tmp_path, faults, said):
+    """No single pixel of either differs from the bare bed by more than noise and light may; all of them together do."""
+    folder = make_recording(
+        tmp_path / "print", layers=4, faults=faults, material_bgr=(64.0, 64.0, 64.0), surface="sheet"
+    )
+    recording = Recording.open(folder)
+    inspector = Inspector(
+        replace(recording.header, material=None), read_gcode(folder / "job.gcode"), CvRenderer(),
+        reference_bgr=recording.reference(),
+    )  # fmt: skip
+    verdicts = {inspector.check(recording.frame(moment), moment).verdict for moment in recording.moments}
+    assert said in verdicts and not verdicts & {"failed", "suspect", "unusable"} - {said, "suspect" if faults else said}
+
+
 @pytest.mark.parametrize("what", ["accept", "pardon"])
 def test_after_the_user_goes_on_the_same_state_does_not_fail_again(clogged, what):
     found = checks(clogged, after_failure=what)
