@@ -33,6 +33,7 @@ HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something to
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
 SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
+MISSED_RATIO = 0.1  # of what is not seen; where less is known to be missing or out of place, the rest may be there
 DRIFT_LEAST = 4.0  # grey levels by which a place where nothing came has not changed
 FLOODED = 1.5  # times the complete print: so much too much matter is no print's but the bed taken for filament
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
@@ -257,6 +258,8 @@ class Inspector:
                 view.learn(steady, seen)
                 return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
             self._told_apart.add(moment.camera)
+        if _unseen_and_unmissed(findings, memory):
+            return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
         self._seen[moment.camera] = _Seen(view, moment, findings)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
@@ -343,6 +346,14 @@ def _tells_apart(findings: Findings, memory: Memory, tolerance_px: float) -> boo
     # each pixel looks bare; but where filament hardly darker or brighter than the bed lies, all of them have changed a little
     far, close = (cv2.dilate(findings.wanted.view(np.uint8), disc(n * tolerance_px)) > 0 for n in (6, 2))
     return memory.drift(window, look, missing, far & ~close & findings.known & ~seen) < DRIFT_LEAST
+
+
+def _unseen_and_unmissed(findings: Findings, memory: Memory) -> bool:
+    """Whether most of what must be seen is not, and yet nothing tells that it is not there: then nothing is known of it."""
+    wanted = findings.wanted & findings.known & ~memory.given_up(findings.window)
+    wanted_px, seen_px, whole = np.count_nonzero(wanted), np.count_nonzero(wanted & findings.seen), findings.whole
+    missed_px = whole.lost_px + whole.stray_px + whole.unseen_px + whole.barren_px
+    return seen_px < SEEN_LEAST * wanted_px and missed_px < MISSED_RATIO * (wanted_px - seen_px)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from octoprint_moop.core import inspection
+from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Moment
@@ -206,3 +209,18 @@ def test_a_print_that_cannot_be_told_from_the_bed_is_not_said_to_be_well(clogged
     found = [inspector.check(recording.frame(moment), moment) for moment in recording.moments[:4]]
     assert {check.verdict for check in found} == {"unusable"}
     assert "look alike" in found[-1].reason
+
+
+@pytest.mark.parametrize(
+    "seen_rows, lost_px, unknown",
+    [(9, 0, False), (1, 0, True), (1, 400, False)],
+    ids=["most is seen", "hardly any is seen and nothing says that it is gone", "it is known to be gone"],
+)
+def test_what_is_neither_seen_nor_missed_is_not_known_to_be_well(seen_rows, lost_px, unknown):
+    wanted, seen = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
+    wanted[10:30, 10:30] = True
+    seen[10 : 10 + 2 * seen_rows, 10:30] = True
+    window = (slice(0, 40), slice(0, 40))
+    whole = SimpleNamespace(lost_px=lost_px, stray_px=0, unseen_px=0, barren_px=0)
+    findings = SimpleNamespace(wanted=wanted, seen=seen, known=np.ones_like(wanted), window=window, whole=whole)
+    assert inspection._unseen_and_unmissed(findings, Memory(None, (40, 40))) is unknown
