@@ -353,7 +353,7 @@ def _unseen_and_unmissed(findings: Findings, memory: Memory) -> bool:
     wanted = findings.wanted & findings.known & ~memory.given_up(findings.window)
     wanted_px, seen_px, whole = np.count_nonzero(wanted), np.count_nonzero(wanted & findings.seen), findings.whole
     missed_px = whole.lost_px + whole.stray_px + whole.unseen_px + whole.barren_px
-    return seen_px < SEEN_LEAST * wanted_px and missed_px < MISSED_RATIO * (wanted_px - seen_px)
+    return bool(seen_px < SEEN_LEAST * wanted_px and missed_px < MISSED_RATIO * (wanted_px - seen_px))
 
 
 @dataclass(frozen=True)
