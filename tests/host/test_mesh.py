@@ -31,6 +31,7 @@ def job(room):
     path = room.folder / "meshed.gcode"
     path.write_text(box_gcode(layers=LAYERS))
     room.server.upload(path, print=False)
+    room.wait("it is selected", lambda: room.server.api("GET", "/api/job")["job"]["file"]["name"] == path.name)
     yield path
     room.moop("DELETE", "mesh", params={"path": path.name})
 
@@ -141,7 +142,7 @@ def test_a_print_from_the_printers_own_storage_is_watched_by_a_model(room, job):
     storage = room.server.basedir / "virtualSd"
     storage.mkdir(exist_ok=True)
     # Other than a printer's, the virtual one's storage goes on with its moves while M400 waits for their end: so few.
-    text = "G1 Z2.4 F3000\nG1 X2 Y198 F9000\n" + "\n" * 1_500_000
+    text = "G1 Z2.4 F3000\nG1 X2 Y198 F9000\n" + "\n" * 20_000_000
     (storage / "box_of_the_printer.gcode").write_text(text)
     room.server.api("POST", "/api/printer/sd", json={"command": "refresh"})
 
