@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import contextmanager
 
 import pytest
 
@@ -12,12 +13,18 @@ pytest.importorskip("octoprint")
 from .room import Room
 
 
-@pytest.fixture(scope="session")
-def shared_room(tmp_path_factory):
-    with Room(tmp_path_factory.mktemp("room"), os.environ.get("MOOP_OCTOPRINT", sys.executable)) as room:
+@contextmanager
+def open_room(folder):
+    with Room(folder, os.environ.get("MOOP_OCTOPRINT", sys.executable)) as room:
         room.set_up()
         room.save(capture="park")  # its webcam shows no head, so none may stand before the print
         room.warm_up()
+        yield room
+
+
+@pytest.fixture(scope="session")
+def shared_room(tmp_path_factory):
+    with open_room(tmp_path_factory.mktemp("room")) as room:
         yield room
 
 

@@ -9,6 +9,7 @@ import trimesh
 
 from octoprint_moop.machine.recording import Recording
 
+from .conftest import open_room
 from .room import box_gcode
 
 LAYERS, SIDE_MM = 8, 30.0
@@ -23,6 +24,13 @@ def attach(room, content: bytes | None = None, name: str = "box.stl", **form):
     return room.server.request(
         "POST", "/plugin/moop/mesh", files={"file": (name, model() if content is None else content)}, data=form
     )
+
+
+@pytest.fixture(scope="module")
+def shared_room(tmp_path_factory):
+    """A room of their own: they fill the printer's storage, and nothing that was printed before may be the job."""
+    with open_room(tmp_path_factory.mktemp("meshes")) as room:
+        yield room
 
 
 @pytest.fixture
