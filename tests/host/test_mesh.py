@@ -146,7 +146,6 @@ def test_a_file_that_cannot_be_read_is_watched_by_a_model_and_its_layer_height(r
     room.moop("DELETE", "mesh", params={"path": path.name})
 
 
-@pytest.mark.xfail(reason="the virtual printer's storage waits for no move, so where it stands is now and then another place")
 def test_a_print_from_the_printers_own_storage_is_watched_by_a_model(room, job):
     storage = room.server.basedir / "virtualSd"
     storage.mkdir(exist_ok=True)
@@ -171,6 +170,7 @@ def test_a_print_from_the_printers_own_storage_is_watched_by_a_model(room, job):
     room.save(longest_s=0.5)
     try:
         room.server.api("POST", f"/api/files/{origin}/{path}", json={"command": "select", "print": True})
+        room.wait("it is this print that is watched", lambda: room.status["job"] == path and room.status["watching"], 60)
         checks = room.wait_checks(2, 60)
         assert room.status["road"] == "height"
     finally:
