@@ -83,9 +83,6 @@ def shape(kind: str, rng: np.random.Generator) -> trimesh.Trimesh:
     return prism(polygon(48, 10 * s), 10 * s)
 
 
-SHAPES = ("star", "tower", "plate", "bracket", "arch", "tee", "dome", "cross", "stairs", "puck")
-
-
 def sliced(
     out: Path, kinds: list[str], centre_mm: tuple[float, float], layer_mm: float, rng: np.random.Generator
 ) -> Path:

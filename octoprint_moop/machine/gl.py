@@ -24,7 +24,6 @@ from ..core.toolpath import Toolpath
 
 CHUNK = 1 << 14  # instances a draw call: bounds graphics memory and the time for which moderngl holds the GIL
 UNTOUCHED = np.uint32(0xFFFFFFFF)  # no draw writes it, and no failed read returns it
-DISTORTION_SIZE = 12  # k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4; OpenCV's two tilts come as a matrix
 
 # Camera models as OpenCV documents them (calib3d, "Detailed description"; fisheye: Kannala and Brandt 2006).
 PROJECT = """

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import colorsys
 
-import cv2
 import numpy as np
-import pytest
 
-from octoprint_moop.core.errors import SegmentationError
 from octoprint_moop.core.segmentation.segment import (
     HsvThresholds,
     ThresholdSegmenter,
     segment_hsv,
-    suggest_thresholds,
     thresholds_of,
 )
 
@@ -44,37 +40,6 @@ def test_a_band_of_reds_wraps_through_zero():
     assert seen[:, :120].all() and not seen[:, 120:].any()
 
 
-def test_clicks_on_filament_and_background_part_them():
-    frame = picture((40, 120, 240), (60, 60, 65), (90, 150, 60))
-    thresholds = suggest_thresholds(frame, [(10, 20), (20, 40), (30, 30)], [(60, 20), (60, 50), (100, 30)])
-    seen = segment_hsv(frame, thresholds)
-    assert seen[:, :40].mean() > 250 and seen[:, 40:].mean() < 5
-
-
-def test_clicks_part_red_filament_although_its_hue_wraps():
-    frame = picture((25, 22, 200), (70, 70, 70))
-    seen = segment_hsv(frame, suggest_thresholds(frame, [(10, 20), (30, 40)], [(60, 20)]))
-    assert seen[:, :40].mean() > 250 and seen[:, 40:].mean() < 5
-
-
-def test_clicks_part_white_filament_by_its_value_because_its_hue_is_noise():
-    frame = picture((230, 232, 231), (90, 92, 91))
-    seen = segment_hsv(frame, suggest_thresholds(frame, [(10, 20), (30, 40)], [(60, 20), (60, 50)]))
-    assert seen[:, :40].mean() > 250 and seen[:, 40:].mean() < 5
-
-
-def test_a_darker_shade_of_the_clicked_filament_is_still_filament():
-    frame = picture((40, 120, 240), (30, 90, 180), (60, 60, 65))
-    seen = segment_hsv(frame, suggest_thresholds(frame, [(10, 20)], [(100, 20)]))
-    assert seen[:, 40:80].mean() > 250
-
-
-@pytest.mark.parametrize("points", [[], [(500, 3)], [(-1, 3)]])
-def test_clicks_that_say_nothing_are_refused_with_a_reason(points):
-    with pytest.raises(SegmentationError, match=r"[Cc]lick"):
-        suggest_thresholds(picture((1, 2, 3)), points)
-
-
 def test_a_band_learned_from_a_label_holds_nine_tenths_of_each_limit():
     frame = picture((40, 120, 240), (60, 60, 65))
     mask = np.zeros(frame.shape[:2], np.uint8)
@@ -87,9 +52,3 @@ def test_the_threshold_segmenter_is_equation_12_and_never_unsure():
     frame, thresholds = picture((40, 120, 240), (60, 60, 65)), HsvThresholds(10, 50, 0.4, 0.3)
     seen = ThresholdSegmenter(thresholds).observe(frame)
     assert np.array_equal(seen.mask, segment_hsv(frame, thresholds)) and not seen.unsure.any()
-
-
-def test_a_camera_without_colour_is_told_that_thresholds_cannot_work():
-    grey = cv2.cvtColor(picture((200, 200, 200), (40, 40, 40))[..., 0], cv2.COLOR_GRAY2BGR)
-    with pytest.raises(SegmentationError, match="no colour"):
-        suggest_thresholds(grey, [(20, 20)], [(60, 20)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,10 +11,6 @@ import numpy as np
 
 from ..errors import SegmentationError
 from ..expected.views import Expected
-
-CLICK_RADIUS_PX = 4  # what is averaged about a clicked point
-GREYISH = 0.15  # saturation below which a hue is noise
-HUE_MARGIN_DEG = 8.0
 
 
 @dataclass(frozen=True)
@@ -86,10 +82,6 @@ def thresholds_of(frame_bgr: np.ndarray, mask: np.ndarray) -> HsvThresholds:
     pixels = hsv(frame_bgr)[mask > 0]
     if not len(pixels):
         raise SegmentationError("No filament is marked in this picture. Mark some.")
-    return _band(pixels)
-
-
-def _band(pixels: np.ndarray) -> HsvThresholds:
     hue = np.deg2rad(pixels[:, 0].astype(np.float64))
     middle_deg = np.rad2deg(np.arctan2(np.sin(hue).mean(), np.cos(hue).mean()))
     offset_deg = (pixels[:, 0] - middle_deg + 180) % 360 - 180
@@ -99,47 +91,6 @@ def _band(pixels: np.ndarray) -> HsvThresholds:
     return HsvThresholds(
         float((middle_deg + low) % 360), float((middle_deg + high) % 360), float(saturation), float(value)
     )
-
-
-def suggest_thresholds(
-    frame_bgr: np.ndarray, filament_px: Sequence[tuple[int, int]], background_px: Sequence[tuple[int, int]] = ()
-) -> HsvThresholds:
-    """Thresholds that take in the clicked filament and leave out the clicked background, as far as a band can.
-
-    filament_px, background_px : (x, y) in the frame
-    Raises SegmentationError where no filament is clicked, a point lies outside of the frame, or there is no colour.
-    """
-    filament = _pixels_about(frame_bgr, filament_px)
-    if not len(filament):
-        raise SegmentationError("No point on filament was clicked. Click at least one, better three.")
-    background = _pixels_about(frame_bgr, background_px)
-    saturation, value = np.percentile(filament[:, 1:], 2, axis=0)
-    if not filament[:, 1].any():
-        raise SegmentationError(
-            "This picture has no colour (a monochrome or infrared camera), and thresholds need a hue. "
-            "Use the adaptive segmentation, which can do without."
-        )
-    hues = (0.0, 360.0)
-    if np.median(filament[:, 1]) > GREYISH:
-        tight = _band(filament)
-        hues = ((tight.hue_min_deg - HUE_MARGIN_DEG) % 360, (tight.hue_max_deg + HUE_MARGIN_DEG) % 360)
-    floors = []
-    for channel, low in ((1, saturation), (2, value)):
-        darker = background[:, channel][background[:, channel] < low] if len(background) else background[:, channel]
-        # midway to the background below, but never so close to the filament that its shaded side is lost
-        floors.append(max(0.0, min((low + darker.max()) / 2, 0.8 * low)) if len(darker) else 0.6 * low)
-    return HsvThresholds(float(hues[0]), float(hues[1]), float(floors[0]), float(floors[1]))
-
-
-def _pixels_about(frame_bgr: np.ndarray, points_px: Sequence[tuple[int, int]]) -> np.ndarray:
-    """(N, 3) float32 hue, saturation, value of the pixels about the points. Raises SegmentationError."""
-    height, width = frame_bgr.shape[:2]
-    spots = np.zeros((height, width), np.uint8)
-    for x, y in points_px:
-        if not (0 <= x < width and 0 <= y < height):
-            raise SegmentationError(f"The point {(x, y)} lies outside of the {width}x{height} picture. Click it again.")
-        cv2.circle(spots, (int(x), int(y)), CLICK_RADIUS_PX, 255, cv2.FILLED)
-    return hsv(frame_bgr[spots > 0][None])[0] if spots.any() else np.zeros((0, 3), np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,9 +30,6 @@ class Level:
     slope: np.ndarray  # (n,) float32, length of the grey value's gradient, per pixel of full size
     normal: np.ndarray  # (n, 2) float32, its direction
 
-    def thinned(self, few: slice) -> Level:
-        return Level(self.scale, self.rays[few], self.on_bed_mm[few], self.grey[few], self.slope[few], self.normal[few])
-
 
 @dataclass(frozen=True, eq=False)
 class Relief:
