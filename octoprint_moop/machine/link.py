@@ -48,7 +48,7 @@ class _Question:
 class EyeLink:
     """One child process at a time, started when it is first asked and after each death. Safe for several threads.
 
-    `births` counts the processes so far: who keeps something in the eye compares it to learn that it is gone.
+    `births` counts the processes so far: who keeps something in the eye asks by it, to learn that it is gone.
     """
 
     def __init__(self, module: str = "octoprint_moop.machine.eye") -> None:
@@ -65,17 +65,23 @@ class EyeLink:
         timeout_s: float,
         interrupted: threading.Event | None = None,
         progress: Callable[[float], None] | None = None,
+        birth: int | None = None,
         **arguments: Any,
     ) -> tuple[dict[str, Any], list[bytes]]:
         """The eye's answer: JSON and bytes.
 
         progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it; the time
         allowed begins anew with each
-        Raises the eye's own MoopError; EyeGone where it dies or is ended for taking longer than `timeout_s`;
-        Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
+        birth : ask this process and no later one, for a question about what only it knows
+        Raises the eye's own MoopError; EyeGone where it dies, is ended for taking longer than `timeout_s`, or is not
+        the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
         """
         with self._lock:
+            if birth is not None and (birth != self.births or self.pid is None):
+                raise EyeGone("The process that looks at the pictures ended and was started anew.")
             if self._child is None or not self._child.alive:
+                if self._child is not None:
+                    self._child.kill()  # its thread may still wait for a question
                 self._child = _Child(self._module)
                 self.births += 1
             child = self._child
@@ -145,10 +151,15 @@ class _Child:
             env={**os.environ, "PYTHONPATH": path},
         )  # fmt: skip
         self.pid = self._process.pid
-        self.alive = True
+        self._given_up = False
         self.questions: queue.SimpleQueue[_Question | None] = queue.SimpleQueue()
         self.owed: list[tuple[_Question, float]] = []
         threading.Thread(target=self._converse, name="moop.eye", daemon=True).start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs and is to be asked: it may have been killed (out of memory) while nobody asked it anything."""
+        return not self._given_up and self._process.poll() is None
 
     @property
     def is_late(self) -> bool:
@@ -156,7 +167,7 @@ class _Child:
         return any(time.monotonic() > due_s for _, due_s in self.owed)
 
     def kill(self) -> None:
-        self.alive = False
+        self._given_up = True
         self._process.kill()
         self.questions.put(None)
 
@@ -191,7 +202,7 @@ class _Child:
         except Exception:
             log.exception("The conversation with the eye broke off")
         finally:
-            self.alive = False
+            self._given_up = True
             self._process.kill()
             self._process.wait()
             for stream in (self._process.stdin, self._process.stdout):

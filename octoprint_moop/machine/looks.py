@@ -13,7 +13,7 @@ from ..core.settings import Settings
 from .blindness import NoReport
 from .holds import Hold, Holds
 from .jobs import Print
-from .link import EyeGone, EyeLink, Interrupted
+from .link import EyeLink, Interrupted
 from .parking import Park
 from .webcam import Webcam
 
@@ -138,10 +138,10 @@ class Looks:
     def _ask(
         self, current: Print, hold: Hold, until_s: float, do: str, *blobs: bytes, **arguments: Any
     ) -> dict[str, Any]:
-        if self._eye.births != current.born:
-            raise EyeGone("The process that looks at the pictures was started anew.")
         timeout_s = max(until_s - time.monotonic(), 1.0)
-        return self._eye.ask(do, *blobs, timeout_s=timeout_s, interrupted=hold.stopped, **arguments)[0]
+        return self._eye.ask(
+            do, *blobs, timeout_s=timeout_s, interrupted=hold.stopped, birth=current.born, **arguments
+        )[0]
 
 
 def _moment(current: Print, hold: Hold) -> dict[str, Any]:

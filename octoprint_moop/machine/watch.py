@@ -282,7 +282,7 @@ class Watch:
         current.revivals, current.last_frame = 0, last.moment["frame"]
         check, pictures = last.check, {"frame.jpg": last.jpeg}
         try:
-            told, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over)
+            told, masks = self._eye.ask("pictures", timeout_s=20.0, interrupted=current.job.over, birth=current.born)
             if told["renderer"] != self._ledger.status["renderer"]:
                 log.warning("The masks are drawn by %s from now on", told["renderer"])
                 self._ledger.note(renderer=told["renderer"])
@@ -373,7 +373,7 @@ class Watch:
             return
         current.said[current.last_frame] = how
         try:
-            self._eye.ask(how, timeout_s=20.0, interrupted=current.job.over)
+            self._eye.ask(how, timeout_s=20.0, interrupted=current.job.over, birth=current.born)
         except MoopError as error:
             log.info("Could not %s: %s", how, error)
 

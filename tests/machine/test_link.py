@@ -1,5 +1,6 @@
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -35,6 +36,28 @@ def test_a_death_is_told_with_its_status_and_the_next_question_starts_another(ey
         eye.ask("die", timeout_s=10)
     assert eye.ask("echo", timeout_s=10, x=2)[0] == {"x": 2}
     assert eye.births == 2
+
+
+def test_an_eye_that_was_killed_while_nobody_asked_it_anything_costs_no_question(eye):
+    eye.ask("echo", timeout_s=10)
+    os.kill(eye.pid, signal.SIGKILL)
+    deadline_s = time.monotonic() + 10
+    while eye.pid is not None and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    assert eye.ask("echo", timeout_s=10, x=2)[0] == {"x": 2}
+    assert eye.births == 2
+
+
+def test_what_only_one_eye_knows_is_not_asked_of_the_next(eye):
+    eye.ask("echo", timeout_s=10)
+    first = eye.births
+    os.kill(eye.pid, signal.SIGKILL)
+    with pytest.raises(EyeGone):  # whether its death was noticed by now or not
+        eye.ask("echo", timeout_s=10, birth=first)
+    eye.ask("echo", timeout_s=10)
+    with pytest.raises(EyeGone, match="anew"):
+        eye.ask("echo", timeout_s=10, birth=first)
+    assert eye.births == first + 1
 
 
 def test_an_eye_that_hangs_is_ended_in_time_even_while_a_large_picture_is_handed_over(eye):
