@@ -146,7 +146,16 @@ def main() -> None:
 
 
 def drawn_table(report: dict[str, Any]) -> str:
-    head = ["condition", "cameras", "solved", "refused", "max > 3 px", "max < 1 px", "mean px: median, 90 %, worst", "naive, median"]
+    head = [
+        "condition",
+        "cameras",
+        "solved",
+        "refused",
+        "max > 3 px",
+        "max < 1 px",
+        "mean px: median, 90 %, worst",
+        "naive, median",
+    ]
     rows = []
     for name in ("all", *CONDITIONS):
         one = report[name]

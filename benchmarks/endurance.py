@@ -41,7 +41,9 @@ def state(endless: Endless) -> dict[str, Any]:
     return found
 
 
-def row(endless: Endless, job: Path, ends: list[int], prints: int, at: dict[str, int], notes: int = 10) -> dict[str, Any]:
+def row(
+    endless: Endless, job: Path, ends: list[int], prints: int, at: dict[str, int], notes: int = 10
+) -> dict[str, Any]:
     began_s, noted, checks, per_check_ms = time.monotonic(), [], 0, []
 
     def steps() -> Iterator[int]:
@@ -69,9 +71,7 @@ def row(endless: Endless, job: Path, ends: list[int], prints: int, at: dict[str,
 def fast(folder: Path, prints: int, checks: int) -> dict[str, Any]:
     numbers = itertools.count()
     folder.mkdir()
-    endless = Endless(
-        folder, lambda: b"\xff\xd8%d\xff\xd9" % next(numbers), "tests.machine.fast_eye", recordings_mb=10
-    )
+    endless = Endless(folder, lambda: b"\xff\xd8%d\xff\xd9" % next(numbers), "tests.machine.fast_eye", recordings_mb=10)
     found = {}
     for name, layers, count in (("prints_of_one_layer", 1, prints), ("one_long_print", checks, 1)):
         job = folder / f"{layers}.gcode"
@@ -107,7 +107,9 @@ def as_table(figures: dict[str, Any]) -> str:
     for eye, found in figures.items():
         for one in found.values():
             first, last = one["on_the_way"][1], one["on_the_way"][-1]
-            many = f"{one['prints']} prints of one layer" if one["prints"] > 1 else f"one print of {one['layers']} layers"
+            many = (
+                f"{one['prints']} prints of one layer" if one["prints"] > 1 else f"one print of {one['layers']} layers"
+            )
             rows.append([
                 many, eye, one["checks"], *(f"{first[key]} → {last[key]}" for key in ("server_mb", "eye_mb", "server_files",
                 "eye_files", "threads")), one["ms_per_check_first_tenth"], one["ms_per_check_last_tenth"],

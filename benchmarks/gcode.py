@@ -118,7 +118,9 @@ def as_tables(figures: dict[str, Any]) -> str:
     )  # fmt: skip
     found = figures["memory"]
     ways = {"no_cache": "without a cache", "building_cache": "making the cache", "from_cache": "from the cache"}
-    memory_rows = [[f"{found['megabytes']} MB, {words}", found[way]["cpu_s"], found[way]["peak_mb"]] for way, words in ways.items()]
+    memory_rows = [
+        [f"{found['megabytes']} MB, {words}", found[way]["cpu_s"], found[way]["peak_mb"]] for way, words in ways.items()
+    ]
     return speed + "\n\n" + table(["a fresh process reads", "s of CPU", "peak memory, MB"], memory_rows)
 
 

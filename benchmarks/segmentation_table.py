@@ -1,6 +1,6 @@
 """Puts the figures of benchmarks/results/segmentation*.json into docs/segmentation.md, between its markers.
 
-    python benchmarks/segmentation_table.py
+python benchmarks/segmentation_table.py
 """
 
 from __future__ import annotations
@@ -64,7 +64,10 @@ def main() -> None:
     page = PAGE.read_text()
     for name, text in parts.items():
         page, count = re.subn(
-            rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", lambda m, text=text: m[1] + text + "\n" + m[2], page, flags=re.S
+            rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
+            lambda m, text=text: m[1] + text + "\n" + m[2],
+            page,
+            flags=re.S,
         )
         if count != 1:
             raise SystemExit(f"{PAGE.name} has {count} places for {name!r}, and wants one.")

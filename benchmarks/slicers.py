@@ -43,11 +43,20 @@ PRUSA: dict[str, list[str]] = {
     "one object after the other": ["--duplicate", "2", "--complete-objects", "--gcode-label-objects"],
     "volumetric E": ["--use-volumetric-e"],
     "firmware retraction": ["--use-firmware-retraction"],
-    "volumetric E, firmware retraction": ["--use-volumetric-e", "--use-firmware-retraction", "--use-relative-e-distances"],
+    "volumetric E, firmware retraction": [
+        "--use-volumetric-e",
+        "--use-firmware-retraction",
+        "--use-relative-e-distances",
+    ],
     "z-hop and wipe": ["--retract-lift", "0.6", "--wipe", "--use-relative-e-distances"],
     "two tools": [*TWO, "--infill-extruder", "2", "--solid-infill-extruder", "2"],
     "two filaments and a wipe tower": [
-        *TWO, "--infill-extruder", "2", "--single-extruder-multi-material", "--wipe-tower", "--use-relative-e-distances",
+        *TWO,
+        "--infill-extruder",
+        "2",
+        "--single-extruder-multi-material",
+        "--wipe-tower",
+        "--use-relative-e-distances",
     ],
     "tool changes that feed": [*TWO, "--infill-extruder", "2", "--toolchange-gcode", "G1 E-20\nG1 E23"],
     "fine layers": ["--layer-height", "0.1", "--first-layer-height", "0.25"],
@@ -68,7 +77,10 @@ SLIC3R: dict[str, list[str]] = {
     "one object after the other": ["--duplicate", "2", "--complete-objects"],
     "volumetric E": ["--use-volumetric-e"],
     "firmware retraction": ["--use-firmware-retraction"],
-    **{f"flavor {flavor}": ["--gcode-flavor", flavor] for flavor in ("teacup", "repetier", "makerware", "mach3", "smoothie")},
+    **{
+        f"flavor {flavor}": ["--gcode-flavor", flavor]
+        for flavor in ("teacup", "repetier", "makerware", "mach3", "smoothie")
+    },
 }
 ADDED = ("raft", "supports")  # with layers of their own, of which Slic3r says nothing
 LAYER = re.compile(rb"^;(?:LAYER_CHANGE|LAYER:-?\d+)\s*$", re.MULTILINE)
@@ -125,11 +137,16 @@ def by_slic3r(folder: Path, stl: Path) -> list[dict[str, Any]]:
     for what, options in SLIC3R.items():
         file = folder / "out.gcode"
         file.unlink(missing_ok=True)
-        data = sliced(["slic3r", "--layer-height", "0.25", "--first-layer-height", "0.25", *options, "-o", str(file), str(stl)], file)
+        data = sliced(
+            ["slic3r", "--layer-height", "0.25", "--first-layer-height", "0.25", *options, "-o", str(file), str(stl)],
+            file,
+        )
         if data is None:
             print(f"{version}, {what}: could not be sliced", file=sys.stderr)
             continue
-        found.append(compared(version, what, data, file, None if what in ADDED else 40 * (2 if "--duplicate" in options else 1)))
+        found.append(
+            compared(version, what, data, file, None if what in ADDED else 40 * (2 if "--duplicate" in options else 1))
+        )
     return found
 
 
@@ -168,7 +185,9 @@ def as_table(rows: list[dict[str, Any]]) -> str:
     for row in rows:
         said, found = row["filament_said_mm"], row["filament_mm"]
         percent = f"{100 * (found / said - 1):+.2f} %" if said else "–"
-        lines.append([row["slicer"], row["settings"], row["layers_said"] or "–", row["layers"], said or "–", found, percent])
+        lines.append(
+            [row["slicer"], row["settings"], row["layers_said"] or "–", row["layers"], said or "–", found, percent]
+        )
     head = ["slicer", "settings", "layers, as it says", "read", "filament, as it says, mm", "read, mm", "off by"]
     return table(head, [[str(cell) for cell in line] for line in lines])
 

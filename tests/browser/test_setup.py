@@ -83,7 +83,9 @@ class Stage:
                     (plate.hole_diameter_mm, (62, 62, 62)),
                 ):
                     turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-                    ring = np.stack([x + diameter / 2 * np.cos(turn), y + diameter / 2 * np.sin(turn), 0 * turn + height], 1)
+                    ring = np.stack(
+                        [x + diameter / 2 * np.cos(turn), y + diameter / 2 * np.sin(turn), 0 * turn + height], 1
+                    )
                     self._fill(picture, ring + moved, colour)
 
     def _fill(self, picture: np.ndarray, corners_mm: np.ndarray, colour: Any) -> None:
@@ -316,7 +318,9 @@ def test_the_beds_motion_is_measured_once_the_person_has_agreed(page: Any, stage
     assert notebook.read(stage.notes)[1] == (0, 0, 0)
     page.click("[data-test-id=moop-place-measure]")
     page.click(".modal:visible a:has-text('Move it')")
-    page.wait_for_selector("[data-test-id=moop-place-found]:has-text('Measured: the bed moves forwards')", timeout=90_000)
+    page.wait_for_selector(
+        "[data-test-id=moop-place-found]:has-text('Measured: the bed moves forwards')", timeout=90_000
+    )
     assert notebook.read(stage.notes)[1] == (0, 0, 0)  # moved back
 
 
@@ -350,7 +354,9 @@ def test_calibrations_are_named_reverted_exported_and_taken_over(
     assert new_server.api("GET", "/plugin/moop/setup")["calibration"]["name"] == "With markers"
     page.locator("[data-test-id=moop-kept-name]").first.fill("On the shelf")
     page.keyboard.press("Tab")
-    page.wait_for_function("ko.dataFor(document.getElementById('moop_setup')).kept.calibrations()[0].name === 'On the shelf'")
+    page.wait_for_function(
+        "ko.dataFor(document.getElementById('moop_setup')).kept.calibrations()[0].name === 'On the shelf'"
+    )
 
 
 def test_a_webcam_whose_settings_have_changed_since_is_told(page: Any, new_server: DemoServer) -> None:

@@ -71,7 +71,9 @@ def test_a_print_that_comes_loose_is_seen_told_and_goes_on_watched_when_the_user
         assert tab.locator(f"{where} figure").all_inner_texts() == ["Seen", "Expected", "Difference"]
     assert tab.is_visible(".moop-legend:has-text('missing')")
     assert len(tab.evaluate("ko.dataFor(document.getElementById('moop_watch')).view.checks()")) == status["checks"]
-    classes = tab.evaluate("MOOP.overlay.counts(ko.dataFor(document.getElementById('moop_watch')).view.picture.classes)")
+    classes = tab.evaluate(
+        "MOOP.overlay.counts(ko.dataFor(document.getElementById('moop_watch')).view.picture.classes)"
+    )
     assert classes["missing"] + classes["extra"] > 500  # the picture shows the trouble, not only the words
 
     tab.click("[data-test-id=moop-pardon]")
@@ -137,10 +139,16 @@ def test_the_past_print_can_be_opened_and_tried_with_other_settings(tab: Any, de
     tab.wait_for_function("ko.dataFor(document.getElementById('moop_past')).opened.view.hasMasks()")
     before = tab.evaluate("ko.dataFor(document.getElementById('moop_past')).opened.run")
     tab.select_option("[data-test-id=moop-past-sensitivity]", "high")  # tried without another click
-    tab.wait_for_function(f"ko.dataFor(document.getElementById('moop_past')).opened.run === {before + 1}", timeout=60_000)
+    tab.wait_for_function(
+        f"ko.dataFor(document.getElementById('moop_past')).opened.run === {before + 1}", timeout=60_000
+    )
     tab.select_option("[data-test-id=moop-past-sensitivity]", "low")
-    tab.wait_for_function(f"ko.dataFor(document.getElementById('moop_past')).opened.run === {before + 2}", timeout=60_000)
-    classes = tab.evaluate("MOOP.overlay.counts(ko.dataFor(document.getElementById('moop_past')).opened.view.picture.classes)")
+    tab.wait_for_function(
+        f"ko.dataFor(document.getElementById('moop_past')).opened.run === {before + 2}", timeout=60_000
+    )
+    classes = tab.evaluate(
+        "MOOP.overlay.counts(ko.dataFor(document.getElementById('moop_past')).opened.view.picture.classes)"
+    )
     assert classes["matched"] > 0
     with tab.expect_response(lambda answer: answer.url.endswith("/api/settings") and answer.request.method == "POST"):
         tab.click("[data-test-id=moop-past-use]")

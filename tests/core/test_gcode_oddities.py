@@ -153,7 +153,9 @@ def test_a_file_of_nothing_but_arcs_takes_no_more_memory_than_a_multiple_of_its_
 
 
 def test_a_file_that_feeds_by_a_is_read_as_if_it_said_e():
-    by_e = "G21\nG90\nG92 E0\nG1 X0 Y0 Z0.2\n" + "".join(f"G1 X{k % 2 * 9} Y{k} E{k + 1}\nG1 F9 E{k}\n" for k in range(40))
+    by_e = "G21\nG90\nG92 E0\nG1 X0 Y0 Z0.2\n" + "".join(
+        f"G1 X{k % 2 * 9} Y{k} E{k + 1}\nG1 F9 E{k}\n" for k in range(40)
+    )
     by_a = by_e.replace("E", "A")
     one, other = (read_gcode_bytes(text.encode()) for text in (by_e, by_a))
     np.testing.assert_array_equal(one.beads_mm, other.beads_mm)

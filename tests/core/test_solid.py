@@ -275,7 +275,9 @@ def test_a_model_is_turned_and_put_where_the_user_says():
     assert np.allclose(high[:2] - low[:2], [10, 30], atol=1e-4)
 
 
-@pytest.mark.parametrize("wrong", [{"x_mm": 3}, {"x_mm": "here", "y_mm": 1}, {"turn_deg": float("nan")}, {"turn_deg": 9e9}])
+@pytest.mark.parametrize(
+    "wrong", [{"x_mm": 3}, {"x_mm": "here", "y_mm": 1}, {"turn_deg": float("nan")}, {"turn_deg": 9e9}]
+)
 def test_a_place_that_is_none_is_refused_in_words(wrong):
     with pytest.raises(MeshError, match="model's"):
         Placement.from_json(wrong)

@@ -52,7 +52,14 @@ def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3, 
 
 def two_boxes_gcode(layers: int = 12) -> str:
     """Two boxes beside each other, labelled as Klipper has it: `left` and `right`."""
-    out = [*(f"EXCLUDE_OBJECT_DEFINE NAME={name}" for name in ("left", "right")), "G21", "G90", "M83", "G28", "G4 P1500"]
+    out = [
+        *(f"EXCLUDE_OBJECT_DEFINE NAME={name}" for name in ("left", "right")),
+        "G21",
+        "G90",
+        "M83",
+        "G28",
+        "G4 P1500",
+    ]
     for layer in range(layers):
         for name, x0 in (("left", 60.0), ("right", 125.0)):
             out.append(f"EXCLUDE_OBJECT_START NAME={name}")

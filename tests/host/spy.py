@@ -59,7 +59,9 @@ class Spy(octoprint.plugin.SimpleApiPlugin, octoprint.plugin.WebcamProviderPlugi
         import flask
 
         moop = self._plugin_manager.get_helpers("moop")
-        return flask.jsonify(snapped=self._snapped, taken=self._taken, status=moop["status"](), check_now=moop["check_now"]())
+        return flask.jsonify(
+            snapped=self._snapped, taken=self._taken, status=moop["status"](), check_now=moop["check_now"]()
+        )
 
 
 __plugin_name__ = "Spy"

@@ -130,7 +130,12 @@ def test_two_people_who_press_the_same_buttons_do_no_harm(room):
     answers: list[int] = []
 
     def press() -> None:
-        for route, sent in (("check", {}), ("watch", {"watching": False}), ("watch", {"watching": True}), ("pardon", {})):
+        for route, sent in (
+            ("check", {}),
+            ("watch", {"watching": False}),
+            ("watch", {"watching": True}),
+            ("pardon", {}),
+        ):
             answers.append(room.server.request("POST", f"/plugin/moop/{route}", json=sent).status_code)
 
     people = [threading.Thread(target=press) for _ in range(2)]

@@ -170,7 +170,9 @@ def test_a_print_from_the_printers_own_storage_is_watched_by_a_model(room, job):
     room.save(longest_s=0.5)
     try:
         room.server.api("POST", f"/api/files/{origin}/{path}", json={"command": "select", "print": True})
-        room.wait("it is this print that is watched", lambda: room.status["job"] == path and room.status["watching"], 60)
+        room.wait(
+            "it is this print that is watched", lambda: room.status["job"] == path and room.status["watching"], 60
+        )
         checks = room.wait_checks(2, 60)
         assert room.status["road"] == "height"
     finally:
@@ -181,6 +183,4 @@ def test_a_print_from_the_printers_own_storage_is_watched_by_a_model(room, job):
     assert [check["layer"] for check in checks[:2]] == [7, 7]
     room.moop("DELETE", "mesh", params=form)
     sent = [command for command, _ in map(json.loads, room._sent_lines())]
-    assert any(
-        sent[n : n + 3][:2] == ["M400", "M114"] and sent[n + 2].startswith("G4 P") for n in range(len(sent) - 2)
-    )
+    assert any(sent[n : n + 3][:2] == ["M400", "M114"] and sent[n + 2].startswith("G4 P") for n in range(len(sent) - 2))

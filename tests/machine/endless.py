@@ -55,9 +55,7 @@ class Endless:
         self.ledger = Ledger(lambda kind, payload: None, "1.0")
         webcam = Webcam(lambda: ("painted", lambda: [frame()]))
         chosen = Settings(**{"settle_s": 0.0, "on_failed": "none", **settings})
-        self.watch = Watch(
-            self.printer, webcam, self.eye, folder / "recordings", folder / "cache", chosen, self.ledger
-        )
+        self.watch = Watch(self.printer, webcam, self.eye, folder / "recordings", folder / "cache", chosen, self.ledger)
         self.watch.start()
 
     def close(self) -> None:

@@ -15,15 +15,15 @@ from octoprint_moop.machine.jobs import Job
 
 from .endless import Endless
 
-HEADER = {"printer": {"volume_mm": {"width": 200, "depth": 200, "height": 200}, "origin": "lowerleft", "bed_motion": "fixed"}}
+HEADER = {
+    "printer": {"volume_mm": {"width": 200, "depth": 200, "height": 200}, "origin": "lowerleft", "bed_motion": "fixed"}
+}
 
 
 @pytest.fixture
 def endless(tmp_path):
     numbers = itertools.count()
-    made = Endless(
-        tmp_path, lambda: b"\xff\xd8%d\xff\xd9" % next(numbers), "tests.machine.fast_eye", recordings_mb=10
-    )
+    made = Endless(tmp_path, lambda: b"\xff\xd8%d\xff\xd9" % next(numbers), "tests.machine.fast_eye", recordings_mb=10)
     yield made
     made.close()
 

@@ -48,9 +48,7 @@ _FEEDS = {
     for letter in (b"A", b"E")
 }
 # Lines that cannot change how moves are read: comments, object labels, macros, and M codes other than these.
-_STATELESS = re.compile(
-    rb"[;@]|[A-FH-LO-QU-Z]|[RS](?!ESTORE_GCODE|AVE_GCODE)|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d"
-)
+_STATELESS = re.compile(rb"[;@]|[A-FH-LO-QU-Z]|[RS](?!ESTORE_GCODE|AVE_GCODE)|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d")
 
 Progress = Callable[[float], None]
 PathLike = Union[str, Path]
@@ -128,7 +126,9 @@ def read_stream(
     refuse_what_is_no_gcode(head, name)
     file.seek(0)
     extruder = "A" if feeds_by_a(head) else "E"
-    reader = _Reader(Interpreter(looks_relative(head, extruder), extruder), len(BOM) if head.startswith(BOM) else 0, folder)
+    reader = _Reader(
+        Interpreter(looks_relative(head, extruder), extruder), len(BOM) if head.startswith(BOM) else 0, folder
+    )
     for chunk, length in chunks(file, name):
         reader.read(chunk, length)
         if progress is not None and size:
