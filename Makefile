@@ -1,6 +1,7 @@
 # make demo   a print that fails, on a virtual printer before a simulated webcam; ARGS="--once --json" for a machine
 # make test   every test there is
 # make lint   style and types
+# make translations   collects what people read for translators, and compiles their work
 
 PYTHON ?= python3
 OCTOPRINT ?= OctoPrint>=1.11.2
@@ -8,7 +9,7 @@ ARGS ?=
 VENV := .venv
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet --prefer-binary
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint translations clean
 
 demo: $(VENV)/.demo
 	@$(VENV)/bin/moop demo $(ARGS)
@@ -20,6 +21,9 @@ lint: $(VENV)/.test
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+translations: $(VENV)/.demo
+	@$(VENV)/bin/python tools/translations.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

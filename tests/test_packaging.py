@@ -45,7 +45,7 @@ def wheel(tmp_path_factory):
 def test_the_wheel_holds_every_module_asset_and_template_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as packed:
         found = {name for name in packed.namelist() if ".dist-info/" not in name}
-    suffixes = {".py", ".js", ".css", ".less", ".jinja2", ".gz", ".svg", ".png"}
+    suffixes = {".py", ".js", ".css", ".less", ".jinja2", ".gz", ".svg", ".png", ".pot", ".po", ".mo"}
     package = ROOT / "octoprint_moop"
     wanted = {
         str(path.relative_to(ROOT)) for path in package.rglob("*")

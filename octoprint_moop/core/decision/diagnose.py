@@ -77,8 +77,9 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
         return _old_moved(scope, place)
     if scope.stray_px < COUNTERPART_RATIO * scope.unseen_px:
         since = scope.first_unseen_layer()
-        how_much = "No" if scope.unseen_ratio(since) > 0.8 else "Too little"
-        return Diagnosis(EXTRUSION_FAILURE, f"{how_much} new material since layer {since}.")
+        if scope.unseen_ratio(since) > 0.8:
+            return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since}.")
+        return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since}.")
     if scope.stray_px:
         area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(sight.layer) / 2, findings)
         return Diagnosis(STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it.")

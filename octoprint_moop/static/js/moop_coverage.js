@@ -4,10 +4,16 @@
     const ROWS = 6;
     const STEADY = 0.012; // of the picture's width: a hand's tremble
     const ALIKE = 0.03;
+
+    /* Marks words for the translators; they are translated where they are said. */
+    function N_(text) {
+        return text;
+    }
+
     const NAMES = [
-        ["upper left", "upper middle", "upper right"],
-        ["left", "middle", "right"],
-        ["lower left", "lower middle", "lower right"]
+        [N_("upper left"), N_("upper middle"), N_("upper right")],
+        [N_("left"), N_("middle"), N_("right")],
+        [N_("lower left"), N_("lower middle"), N_("lower right")]
     ];
 
     function say(text, values) {

@@ -14,7 +14,7 @@
         }
         const text = String(typed === null || typed === undefined ? "" : typed).trim().replace(",", ".");
         const value = Number(text);
-        const values = {low: limits.low, high: limits.high, unit: limits.unit};
+        const values = {low: limits.low, high: limits.high, unit: limits.unit ? say(limits.unit) : ""};
         if (text === "" || !isFinite(value)) {
             return {error: say("A number is needed here, from %(low)s to %(high)s %(unit)s", values).trim()};
         }

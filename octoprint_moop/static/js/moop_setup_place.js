@@ -1,6 +1,11 @@
 /* Step "place" of the set-up: where the camera stands, from clicked points or from the marker plate. */
 (function () {
-    const CORNERS = ["front left", "front right", "back right", "back left"];
+    /* Marks words for the translators; they are translated where they are said. */
+    function N_(text) {
+        return text;
+    }
+
+    const CORNERS = [N_("front left"), N_("front right"), N_("back right"), N_("back left")];
 
     /* The bed's corners in print coordinates, in the order of CORNERS. */
     function bedCorners(printer) {

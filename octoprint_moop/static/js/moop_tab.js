@@ -78,7 +78,7 @@ $(function () {
         self.selectedReason = ko.pureComputed(function () {
             const check = self.view.selected();
             const told = check && self.failure.check() && check.layer === self.failure.check().layer; // in the box above
-            return check && check.verdict !== "ok" && !told ? check.reason : "";
+            return check && check.verdict !== "ok" && !told ? words.retold(check.reason) : "";
         });
         self.printing = ko.pureComputed(function () {
             return self.printer() !== "idle" && Boolean(self.status() && self.status().job);
@@ -206,9 +206,9 @@ $(function () {
             } else if (message.type === "failed" && words.failureStands(self.status())) { // not resumed meanwhile
                 self.failure.notify(message.check, message.action);
             } else if (message.type === "suspect") { // told only where the settings ask for it
-                self.warn(words.say("MOOP suspects something"), message.check.reason);
+                self.warn(words.say("MOOP suspects something"), words.retold(message.check.reason));
             } else if (message.type === "unwatched") {
-                self.warn(words.say("MOOP could not watch this print"), message.reason);
+                self.warn(words.say("MOOP could not watch this print"), words.retold(message.reason));
             }
         };
         self.warn = function (title, text) {

@@ -1,6 +1,14 @@
 /* What MOOP says to people: states, ages and failures as sentences. Pure: no page, no server. */
 (function (root) {
-    const translate = typeof root.gettext === "function" ? root.gettext : function (text) { return text; };
+    /* OctoPrint has its catalogue only when the page is ready, which is after this script. */
+    function translate(text) {
+        return typeof root.gettext === "function" ? root.gettext(text) : text;
+    }
+
+    /* Marks a sentence for the translators where it stands; it is translated where it is said. */
+    function N_(text) {
+        return text;
+    }
 
     /* "layer %(n)s" with {n: 3} is "layer 3". */
     function fill(text, values) {
@@ -11,6 +19,11 @@
 
     function say(text, values) {
         return fill(translate(text), values || {});
+    }
+
+    /* What the server says in English, in the reader's language where it is known there. */
+    function retold(text) {
+        return root.MOOP && root.MOOP.told ? root.MOOP.told.retell(text, translate) : text;
     }
 
     /* 12 s, 3 min, 2 h 5 min. */
@@ -41,28 +54,28 @@
     }
 
     const MODES = {
-        warping: "Warping",
-        detachment: "Detached from the bed",
-        extrusion_failure: "No extrusion",
-        layer_shift: "Layers shifted",
-        stray_material: "Stray material",
-        unknown: "Does not match the model"
+        warping: N_("Warping"),
+        detachment: N_("Detached from the bed"),
+        extrusion_failure: N_("No extrusion"),
+        layer_shift: N_("Layers shifted"),
+        stray_material: N_("Stray material"),
+        unknown: N_("Does not match the model")
     };
 
     const VERDICTS = {
-        ok: "all well",
-        suspect: "something may be wrong, looking closer",
-        failed: "failed",
-        unusable: "picture unusable",
-        camera_moved: "the camera has moved"
+        ok: N_("all well"),
+        suspect: N_("something may be wrong, looking closer"),
+        failed: N_("failed"),
+        unusable: N_("picture unusable"),
+        camera_moved: N_("the camera has moved")
     };
 
     const ACTIONS = {
-        none: "Nothing was done.",
-        notify: "You were notified; the print goes on.",
-        pause: "The print was paused.",
-        cancel: "The print was cancelled.",
-        cancel_object: "Only the failed object was cancelled; the print goes on."
+        none: N_("Nothing was done."),
+        notify: N_("You were notified; the print goes on."),
+        pause: N_("The print was paused."),
+        cancel: N_("The print was cancelled."),
+        cancel_object: N_("Only the failed object was cancelled; the print goes on.")
     };
 
     function mode(check) {
@@ -71,6 +84,13 @@
 
     function verdict(check) {
         return say(VERDICTS[check.verdict] || check.verdict);
+    }
+
+    const LEVELS = {idle: N_("idle"), good: N_("good"), warning: N_("warning"), failed: N_("failed")};
+
+    /* The level of a state in one word, for those who do not see its colour. */
+    function level(name) {
+        return say(LEVELS[name] || name);
     }
 
     function action(name) {
@@ -128,17 +148,18 @@
             return {
                 level: "idle",
                 text: joined([
-                    status.blind || say("No print is running."),
+                    status.blind ? retold(status.blind) : say("No print is running."),
                     check ? say("last check %(age)s ago", {age: age}) : "",
                     check ? verdict(check) : ""
                 ])
             };
         }
         if (!status.job || status.blind) {
+            const why = status.blind ? retold(status.blind) : say("it has not been taken up.");
             return {
                 level: "warning",
                 text: joined([
-                    say("Nobody is watching this print: %(why)s", {why: status.blind || say("it has not been taken up.")}),
+                    say("Nobody is watching this print: %(why)s", {why: why}),
                     typeof status.reading === "number" ? say("%(share)s read", {share: percent(status.reading)}) : "",
                     check ? lastLook(check, ageSeconds) : ""
                 ])
@@ -191,7 +212,7 @@
         const named = failedObjects.every(function (name) { return (check.reason || "").indexOf(name + ":") >= 0; });
         return {
             title: say("%(mode)s at layer %(layer)s", {mode: mode(check), layer: values.layer}),
-            sentence: check.reason || say("What the camera sees does not match the model."),
+            sentence: check.reason ? retold(check.reason) : say("What the camera sees does not match the model."),
             details: joined([
                 failedObjects.length && !named ? say("object: %(objects)s", values) : "",
                 since < check.layer ? say("since layer %(since)s", values) : "",
@@ -290,16 +311,16 @@
     }
 
     const MOTIONS = {
-        fixed: "Measured: the bed stands still.",
-        y: "Measured: the bed moves forwards and backwards, with Y.",
-        z: "Measured: the bed moves up and down, with Z."
+        fixed: N_("Measured: the bed stands still."),
+        y: N_("Measured: the bed moves forwards and backwards, with Y."),
+        z: N_("Measured: the bed moves up and down, with Z.")
     };
 
     function bedMotion(motion) {
         return say(MOTIONS[motion] || motion);
     }
 
-    const FOUND_BY = {pose: "from markers", points: "from clicked points", given: "taken over"};
+    const FOUND_BY = {pose: N_("from markers"), points: N_("from clicked points"), given: N_("taken over")};
 
     /* A calibration that is kept, in one line: when, how, how exact. */
     function calibration(kept) {
@@ -311,18 +332,19 @@
     }
 
     const DOING = {
-        picture: "Taking a picture …",
-        capture: "Looking for the board …",
-        lens: "Finding the lens; this may take a minute …",
-        place: "Finding the camera's place; this may take half a minute …",
-        markers: "Making the plate …",
-        move: "Moving and looking; this may take a minute …",
-        save: "Keeping it …"
+        picture: N_("Taking a picture …"),
+        capture: N_("Looking for the board …"),
+        lens: N_("Finding the lens; this may take a minute …"),
+        place: N_("Finding the camera's place; this may take half a minute …"),
+        markers: N_("Making the plate …"),
+        move: N_("Moving and looking; this may take a minute …"),
+        save: N_("Keeping it …"),
+        other: N_("Working …")
     };
 
     /* What is being done, for whoever waits for it. */
     function busy(what) {
-        return say(DOING[what] || "Working …");
+        return say(DOING[what] || DOING.other);
     }
 
     function mesh(found) {
@@ -351,7 +373,7 @@
             message = "";
         }
         if (message) {
-            return message;
+            return retold(message);
         }
         if (request && request.status === 403) {
             return say("You do not have the permission for this.");
@@ -364,6 +386,8 @@
 
     const words = {
         say: say,
+        retold: retold,
+        level: level,
         duration: duration,
         layerNumber: layerNumber,
         percent: percent,
