@@ -18,6 +18,7 @@ from .errors import CameraError
 
 LENS_MODELS = ("pinhole", "fisheye")
 BED_MOTIONS = ("fixed", "y", "z")
+_MANY = 200  # points from which on numpy is quicker than OpenCV
 
 
 def _frozen(values: Any, shape: tuple[int, ...] | None, what: str) -> np.ndarray:
@@ -125,11 +126,31 @@ class Camera:
             pixels, _ = cv2.fisheye.projectPoints(
                 points.reshape(-1, 1, 3), self.rvec, self.tvec_mm, self.K, self.distortion
             )
-        else:
+        elif len(points) < _MANY or self.distortion.size > 8:
             pixels, _ = cv2.projectPoints(points, self.rvec, self.tvec_mm, self.K, self.distortion)
+        else:
+            pixels = self._project_many(points)
         pixels = pixels.reshape(-1, 2)
         depth_mm = points @ cv2.Rodrigues(self.rvec)[0][2] + self.tvec_mm[2]
         pixels[depth_mm <= 0] = math.nan
+        return pixels
+
+    def _project_many(self, points: np.ndarray) -> np.ndarray:
+        """(N, 2) float64: what cv2.projectPoints gives with up to 8 coefficients, which takes ten times as long for it."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(self.distortion, (0, 8 - self.distortion.size))
+        in_camera = cv2.Rodrigues(self.rvec)[0] @ points.T + self.tvec_mm[:, None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            x, y = in_camera[:2] / in_camera[2]
+            xx, yy, xy2 = x * x, y * y, 2 * x * y
+            rr = xx + yy
+            radial = 1 + rr * (k1 + rr * (k2 + rr * k3))
+            if k4 or k5 or k6:
+                radial /= 1 + rr * (k4 + rr * (k5 + rr * k6))
+            lens_x = x * radial + p1 * xy2 + p2 * (rr + 2 * xx)
+            lens_y = y * radial + p1 * (rr + 2 * yy) + p2 * xy2
+            pixels = np.empty((len(points), 2))
+            pixels[:, 0] = self.K[0, 0] * lens_x + self.K[0, 2]
+            pixels[:, 1] = self.K[1, 1] * lens_y + self.K[1, 2]
         return pixels
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:

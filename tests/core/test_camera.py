@@ -100,11 +100,22 @@ def test_rays_have_length_one_and_point_at_what_their_pixels_show(lens):
     assert camera.rays(np.empty((0, 2))).shape == (0, 3)
 
 
+@pytest.mark.parametrize("lens", LENSES)
+def test_many_points_and_few_are_seen_where_opencv_sees_them(lens):
+    camera, seen = eye(lens), cv2.fisheye.projectPoints if lens == "fisheye" else cv2.projectPoints
+    many = np.tile(POINTS, (3, 1))
+    theirs, _ = seen(many.reshape(-1, 1, 3), camera.rvec, camera.tvec_mm, camera.K, camera.distortion)
+    assert np.allclose(camera.project(many), theirs.reshape(-1, 2), atol=1e-9)
+    assert np.allclose(camera.project(many[:50]), theirs.reshape(-1, 2)[:50], atol=1e-9)
+
+
 def test_what_is_at_or_behind_the_camera_has_no_pixel():
     camera = Camera((640, 480), np.diag([600.0, 600.0, 1.0]), np.zeros(5), np.zeros(3), np.zeros(3))
     pixels = camera.project([[0.1, 0.2, 0.5], [1, 1, 0], [0, 0, -5]])
     assert np.allclose(pixels[0], [120, 240]) and np.isnan(pixels[1:]).all()
     assert camera.project(np.empty((0, 3))).shape == (0, 2)
+    many = np.tile([[0.1, 0.2, 0.5], [1, 1, 0], [0, 0, -5]], (200, 1))
+    assert np.array_equal(camera.project(many), np.tile(pixels, (200, 1)), equal_nan=True)
 
 
 @pytest.mark.parametrize("model, legal", [("pinhole", {0, 4, 5, 8, 12, 14}), ("fisheye", {4})])
