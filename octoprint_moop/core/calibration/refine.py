@@ -89,11 +89,12 @@ def refine_camera(camera: Camera, layers: Sequence[SilhouetteEdges]) -> Refineme
     if len(good) < _FEWEST_LAYERS:
         return Refinement(off_px, off_px, matched_ratio, None,
                           f"{len(good)} layers can be judged by; three are needed to better the camera.")  # fmt: skip
-    better = _fit(camera, good)
+    fits = _Fits(camera, good)
+    better = fits.best()
     if better is None:
         return Refinement(off_px, off_px, matched_ratio, None, "No nearby camera fits the print's edges better.")
     left_px = _rms([_unexplained(camera, better, edges) for edges in good])
-    why = _unsafe(camera, better, good, off_px, left_px)
+    why = _unsafe(camera, better, fits, good, off_px, left_px)
     if why:
         return Refinement(off_px, min(left_px, off_px), matched_ratio, None, why)
     moved_px = float(np.sqrt(np.mean(_apart_px(camera, better, good) ** 2)))
@@ -101,7 +102,9 @@ def refine_camera(camera: Camera, layers: Sequence[SilhouetteEdges]) -> Refineme
     return Refinement(off_px, left_px, matched_ratio, better, why, moved_px)
 
 
-def _unsafe(camera: Camera, better: Camera, layers: list[SilhouetteEdges], off_px: float, left_px: float) -> str:
+def _unsafe(
+    camera: Camera, better: Camera, fits: _Fits, layers: list[SilhouetteEdges], off_px: float, left_px: float
+) -> str:
     """Why the better camera must not be taken, or ""."""
     # A mask that is wide all round is not equally wide everywhere.
     wide_px = abs(float(np.median([np.median(edges.off_px) for edges in layers])))
@@ -116,7 +119,7 @@ def _unsafe(camera: Camera, better: Camera, layers: list[SilhouetteEdges], off_p
     if not moved_px < _FARTHEST_PX:
         return f"The camera seems to be {moved_px:.0f} px off, too far to correct unasked. Calibrate the pose again."
     for left_out in range(len(layers)):
-        without = _fit(camera, layers[:left_out] + layers[left_out + 1 :])
+        without = fits.without(left_out, better)
         before_px = _rms([_unexplained(camera, camera, layers[left_out])])
         if without is None or _rms([_unexplained(camera, without, layers[left_out])]) > before_px:
             return "The layers do not agree on how the camera is off, so it is left as it is."
@@ -181,6 +184,8 @@ def _on_beads(
 
 def _moved_px(camera: Camera, other: Camera, edges: SilhouetteEdges) -> np.ndarray:
     """(N,) float64: by how much `other` expects each edge further out than `camera`."""
+    if other is camera:
+        return np.zeros(len(edges.points_mm))
     apart = other.project(edges.points_mm) - camera.project(edges.points_mm)
     return np.asarray((apart * edges.normal).sum(axis=1))
 
@@ -202,47 +207,63 @@ def _rms(parts: list[np.ndarray]) -> float:
     return float(np.sqrt((sizes[: max(1, int(0.9 * len(sizes)))] ** 2).mean()))
 
 
-def _fit(camera: Camera, layers: Sequence[SilhouetteEdges]) -> Camera | None:
-    """The camera that the edges speak for, weighed against how far cameras usually are off; None where none is.
+class _Fits:
+    """The camera that edges speak for, weighed against how far cameras usually are off.
 
     Moves are small, so the edges move in proportion to them: a linear problem, solved with Huber's weights, in which
-    each layer has an unknown of its own for how wide the mask is.
+    each layer has an unknown of its own for how wide the mask is. The proportion is measured once for all fits: over a
+    few pixels it changes by hundredths.
     """
-    start = np.concatenate([camera.rvec, camera.tvec_mm])
-    values = start
-    which = np.repeat(np.arange(len(layers)), [len(edges.off_px) for edges in layers])
-    wide = (which[:, None] == np.arange(len(layers))).astype(np.float64)
-    spread = np.array([_TURN_SPREAD] * 3 + [_SHIFT_SPREAD_MM] * 3)
-    every = SilhouetteEdges(
-        np.vstack([edges.points_mm for edges in layers]), np.vstack([edges.normal for edges in layers]),
-        np.concatenate([edges.off_px for edges in layers]), 1.0,
-    )  # fmt: skip
-    try:
-        for _ in range(2):
-            here = replace(camera, rvec=values[:3], tvec_mm=values[3:])
-            slopes = _slopes(here, every)
-            left = every.off_px - _moved_px(camera, here, every)
-            whole = np.hstack([slopes, wide])
-            prior = np.zeros((6, whole.shape[1]))
-            prior[:, :6] = np.diag(_EDGE_SPREAD_PX / spread)
-            pull = (start - values) / spread * _EDGE_SPREAD_PX
-            change = np.zeros(whole.shape[1])
-            for _ in range(8):
-                miss = left - whole @ change
-                weight = np.minimum(1.0, _OUTLIER_PX / np.maximum(np.abs(miss), 1e-9))
-                normal = whole.T @ (weight[:, None] * whole) / _ALONG_EDGE + prior.T @ prior
-                change = np.linalg.solve(normal, whole.T @ (weight * left) / _ALONG_EDGE + prior.T @ pull)
-            values = values + change[:6]
-        return replace(camera, rvec=values[:3], tvec_mm=values[3:])
-    except (CameraError, np.linalg.LinAlgError):
-        return None
 
+    def __init__(self, camera: Camera, layers: Sequence[SilhouetteEdges]) -> None:
+        self._camera = camera
+        self._every = SilhouetteEdges(
+            np.vstack([edges.points_mm for edges in layers]), np.vstack([edges.normal for edges in layers]),
+            np.concatenate([edges.off_px for edges in layers]), 1.0,
+        )  # fmt: skip
+        self._layer = np.repeat(np.arange(len(layers)), [len(edges.off_px) for edges in layers])
+        self._start = np.concatenate([camera.rvec, camera.tvec_mm])
+        self._slopes: np.ndarray | None = None  # (N, 6) px along the normals for each of rvec and tvec_mm
 
-def _slopes(camera: Camera, edges: SilhouetteEdges) -> np.ndarray:
-    """(N, 6) float64: px along the normals by which the edges move with each of rvec and tvec_mm."""
+    def best(self) -> Camera | None:
+        """By all layers; None where no camera is."""
+        try:
+            if self._slopes is None:
+                moved = numeric_slopes(
+                    lambda values: self._at(values).project(self._every.points_mm), self._start, _STEPS
+                )
+                self._slopes = np.asarray((moved * self._every.normal[:, :, None]).sum(axis=1))
+            values = self._start
+            for _ in range(2):
+                values = self._bettered(values, np.ones(len(self._layer), bool))
+            return self._at(values)
+        except (CameraError, np.linalg.LinAlgError):
+            return None
 
-    def seen(values: np.ndarray) -> np.ndarray:
-        return replace(camera, rvec=values[:3], tvec_mm=values[3:]).project(edges.points_mm)
+    def without(self, layer: int, near: Camera) -> Camera | None:
+        """By all layers but one, from the best camera on, which is `near`."""
+        try:
+            return self._at(self._bettered(np.concatenate([near.rvec, near.tvec_mm]), self._layer != layer))
+        except (CameraError, np.linalg.LinAlgError):
+            return None
 
-    moved = numeric_slopes(seen, np.concatenate([camera.rvec, camera.tvec_mm]), _STEPS)
-    return np.asarray((moved * edges.normal[:, :, None]).sum(axis=1))
+    def _at(self, values: np.ndarray) -> Camera:
+        return replace(self._camera, rvec=values[:3], tvec_mm=values[3:])
+
+    def _bettered(self, values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        assert self._slopes is not None
+        here = self._camera if values is self._start else self._at(values)
+        left = (self._every.off_px - _moved_px(self._camera, here, self._every))[chosen]
+        spread = np.array([_TURN_SPREAD] * 3 + [_SHIFT_SPREAD_MM] * 3)
+        wide = self._layer[chosen, None] == np.unique(self._layer[chosen])
+        whole = np.hstack([self._slopes[chosen], wide])
+        prior = np.zeros((6, whole.shape[1]))
+        prior[:, :6] = np.diag(_EDGE_SPREAD_PX / spread)
+        pull = (self._start - values) / spread * _EDGE_SPREAD_PX
+        change = np.zeros(whole.shape[1])
+        for _ in range(8):
+            miss = left - whole @ change
+            weight = np.minimum(1.0, _OUTLIER_PX / np.maximum(np.abs(miss), 1e-9))
+            normal = whole.T @ (weight[:, None] * whole) / _ALONG_EDGE + prior.T @ prior
+            change = np.linalg.solve(normal, whole.T @ (weight * left) / _ALONG_EDGE + prior.T @ pull)
+        return values + change[:6]
