@@ -141,8 +141,28 @@ def main() -> None:
     if chosen.write:
         command = f"python -m benchmarks.calibration --cameras {chosen.cameras} --seed {chosen.seed} --write"
         save("calibration", command, "rendered and drawn", report)
+        put(ROOT / "docs" / "calibration.md", "calibration-rendered", rendered_table(report["rendered"]))
         if chosen.cameras:
             put(ROOT / "docs" / "calibration.md", "calibration-drawn", drawn_table(report["drawn"]))
+
+
+def rendered_table(report: dict[str, Any]) -> str:
+    head = ["recording", "lens", "pose, true lens", "pose, calibrated lens", "naive, calibrated lens"]
+    lines, poses = [], []
+    for name, one in report.items():
+        known, found = one["pose with the true lens"], one["pose with the calibrated lens"]
+        pairs = (
+            one["lens"]["true_px mean max"], known["true_px mean max"], found["true_px mean max"], found["naive_px mean max"],
+        )  # fmt: skip
+        lines.append([name, *(f"{mean:.2f} / {most:.2f}" for mean, most in pairs)])
+        poses.append(found["nearer than 60 mm too"][1])
+    turned = [one["lens"]["true_px with rotation mean max"] for one in report.values()]
+    means = [mean for mean, _ in turned]
+    return (
+        f"{table(head, lines)}\n\nPoints nearer to the lens than 60 mm included, the worst is {max(poses):.1f} px. The lens's error "
+        f"with that common rotation left in: mean {min(means):.2f} to {max(means):.2f} px, at worst "
+        f"{max(most for _, most in turned):.2f} px."
+    )
 
 
 def drawn_table(report: dict[str, Any]) -> str:

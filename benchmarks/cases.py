@@ -96,14 +96,15 @@ def main() -> None:
 
 def write_table() -> None:
     rows = json.loads((ROOT / "benchmarks" / "results" / "cases.json").read_text())["figures"]
+    put(ROOT / "docs" / "decision.md", "cases", as_table(rows))
+
+
+def as_table(rows: list[dict[str, Any]]) -> str:
     head = ["recording", "camera", "its misfit, px", "segmentation", "fault visible", "failed", "called", "false alarm"]
-    put(
-        ROOT / "docs" / "decision.md", "cases",
-        table(head, [
-            [row["recording"], row["camera"], row["misfit_px"], row["segmentation"], row["visible"], row["failed"],
-             row["mode"], "yes" if row["false_alarm"] else "no"] for row in rows
-        ]),
-    )  # fmt: skip
+    return table(head, [
+        [row["recording"], row["camera"], row["misfit_px"], row["segmentation"], row["visible"], row["failed"],
+         row["mode"], "yes" if row["false_alarm"] else "no"] for row in rows
+    ])  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -100,8 +100,8 @@ def faults(rows: list[dict[str, Any]]) -> str:
     return table(["fault", "runs", "visible", "caught", "delay 0 or 1", "median delay", "rightly named"], lines)
 
 
-def curve(rows: list[dict[str, Any]]) -> str:
-    """Markdown beside the figure: size in pixels of a 480 px wide picture, and its middle in mm, against share caught."""
+def _by_size(rows: list[dict[str, Any]]) -> tuple[dict[tuple[str, int], list[bool]], dict[int, list[float]]]:
+    """Whether each fault was caught soon, by fault and place in SIZES_PX; sizes in mm by place."""
     by_bin: dict[tuple[str, int], list[bool]] = defaultdict(list)
     sizes_mm: dict[int, list[float]] = defaultdict(list)
     for row in rows:
@@ -111,13 +111,17 @@ def curve(rows: list[dict[str, Any]]) -> str:
         soon = row["onset"] <= row["alarms"].get("moop", -1) <= (row["visible"] or row["onset"]) + WITHIN_LAYERS
         by_bin[row["fault"], place].append(soon)
         sizes_mm[place].append(row["size_px"] / row["px_per_mm"])
+    return by_bin, sizes_mm
+
+
+def curve(rows: list[dict[str, Any]]) -> str:
+    """Markdown beside the figure: size in pixels of a 480 px wide picture, and its middle in mm, against share caught."""
+    by_bin, sizes_mm = _by_size(rows)
     lines = []
     for place, (low, high) in enumerate(zip(SIZES_PX, SIZES_PX[1:])):
         shares = [f"{sum(by_bin[f, place])} of {len(by_bin[f, place])}" if by_bin[f, place] else "–" for f in INKS]
         middle = f"{np.median(sizes_mm[place]):.1f}" if sizes_mm[place] else "–"
         lines.append([f"{low} to {high}", middle, *shares])
-    FIGURE.parent.mkdir(exist_ok=True)
-    FIGURE.write_text(_drawn(by_bin))
     return table(["size, px", "median, mm", *INKS], lines)
 
 
@@ -159,14 +163,22 @@ def main() -> None:
     put(DOCUMENT, "clean", false_alarms(clean))
     put(DOCUMENT, "mixed", faults(mixed))
     put(DOCUMENT, "size", curve(mixed))
-    # what follows an alarm is no clean check any more
+    FIGURE.parent.mkdir(exist_ok=True)
+    FIGURE.write_text(_drawn(_by_size(mixed)[0]))
+    put(DOCUMENT, "tail", tail(clean))
+
+
+def tail(clean: list[dict[str, Any]]) -> str:
+    """How often clean checks surprise. What follows an alarm is no clean check any more."""
     told = [
         row["surprises"][: row["alarms"].get("moop", len(row["surprises"])) + 1] for row in clean if "surprises" in row
     ]
     sizes = np.array([x for row in told for x in row if x is not None])
     shares = ", ".join(f"{level:g}: {np.mean(sizes >= level):.2%}" for level in (0.3, 0.6, 1.0, DECISIVE))
-    put(DOCUMENT, "tail", f"Of {len(sizes):,} clean checks, the share with a surprise of at least … {shares}. Were they "
-        f"independent, a false alarm would come once in {run_length(sizes):,.0f} checks.")  # fmt: skip
+    return (
+        f"Of {len(sizes):,} clean checks, the share with a surprise of at least … {shares}. Were they "
+        f"independent, a false alarm would come once in {run_length(sizes):,.0f} checks."
+    )
 
 
 if __name__ == "__main__":

@@ -219,20 +219,29 @@ def score(rows: list[dict], rule: str) -> dict:
     }  # fmt: skip
 
 
-def table(arguments: argparse.Namespace) -> None:
-    rows = read(arguments.results)
+def rules_table(rows: list[dict]) -> str:
+    """What each rule makes of the same frames."""
+    lines = ["| frames | rule | faults caught | delay 0 or 1 | median delay | runs with a false alarm | clean checks |",
+             "| --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    for kind in sorted({row["kind"] for row in rows}):
+        for rule in RULES:
+            one = score([row for row in rows if row["kind"] == kind], rule)
+            lines.append(
+                f"| {kind} | {rule} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {one['delay_median']:g} | "
+                f"{one['false_alarms']} of {one['runs']} | {one['clean_checks']:,} |"
+            )
+    return "\n".join(lines)
+
+
+def as_tables(rows: list[dict]) -> str:
+    """Markdown for docs/decision.md: the rules side by side, and ours by fault and by how large the fault is."""
+    parts = [rules_table(rows)]
     for kind in sorted({row["kind"] for row in rows}):
         mine = [row for row in rows if row["kind"] == kind]
-        print(f"\n### {kind}, {len(mine)} runs\n")
-        print(
-            "| rule | faults caught | delay 0 or 1 | median delay | false alarms | clean checks |\n| --- | --- | --- | --- | --- | --- |"
-        )
-        for rule in RULES:
-            one = score(mine, rule)
-            print(
-                f"| {rule} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {one['delay_median']} | {one['false_alarms']} in {one['runs']} runs | {one['clean_checks']} |"
-            )
-        print("\n| fault | caught | delay 0 or 1 | mode right | object right |\n| --- | --- | --- | --- | --- |")
+        lines = [
+            f"| {kind}: fault | caught | delay 0 or 1 | mode right | object right |",
+            "| --- | --- | --- | --- | --- |",
+        ]
         for fault in sorted({row["fault"] for row in mine if row["fault"]}):
             own = [row for row in mine if row["fault"] == fault]
             one = score(own, "moop")
@@ -240,14 +249,21 @@ def table(arguments: argparse.Namespace) -> None:
             right = sum(row["mode"] in RIGHT_MODES[fault] for row in caught)
             asked = [row for row in caught if row["object"]]
             named = sum(row["named"] == [row["object"]] for row in asked)
-            print(
+            lines.append(
                 f"| {fault} | {one['caught']} of {one['faults']} | {one['delay_at_most_1']} | {right} | {named} of {len(asked)} |"
             )
-        print("\n| largest true E | caught |\n| --- | --- |")
+        parts.append("\n".join(lines))
+        lines = [f"| {kind}: largest true E | caught |", "| --- | --- |"]
         for low, high in ((0.0, 0.01), (0.01, 0.02), (0.02, 0.04), (0.04, 0.1), (0.1, 9.0)):
             own = [row for row in mine if row["fault"] and low <= row["largest_E"] < high]
             caught = sum(row["alarms"].get("moop", -1) >= row["onset"] for row in own)
-            print(f"| {low} to {high} | {caught} of {len(own)} |")
+            lines.append(f"| {low} to {high} | {caught} of {len(own)} |")
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def table(arguments: argparse.Namespace) -> None:
+    print(as_tables(read(arguments.results)))
 
 
 def main() -> None:

@@ -58,10 +58,14 @@ def main() -> None:
     print(json.dumps(figures, indent=1))
     if arguments.write:
         save("roads", "python benchmarks/roads.py --write ../shared/cases/*", "rendered", figures)
-        head = ["model", "layers", "mean IoU", "least", "without skirts", "least"]
-        names = ("layers", "iou_mean", "iou_least", "without_skirts_mean", "without_skirts_least")
-        rows = [[f"rendered case {number}", *(row[name] for name in names)] for number, row in enumerate(figures, 1)]
-        put(ROOT / "docs" / "rendering.md", "roads", table(head, rows))
+        put(ROOT / "docs" / "rendering.md", "roads", as_table(figures))
+
+
+def as_table(figures: list[dict[str, Any]]) -> str:
+    head = ["model", "layers", "mean IoU", "least", "without skirts", "least"]
+    names = ("layers", "iou_mean", "iou_least", "without_skirts_mean", "without_skirts_least")
+    rows = [[f"rendered case {number}", *(row[name] for name in names)] for number, row in enumerate(figures, 1)]
+    return table(head, rows)
 
 
 if __name__ == "__main__":

@@ -54,15 +54,8 @@ def machine(found: dict) -> str:
 def main() -> None:
     figures = json.loads((RESULTS / "segmentation.json").read_text())
     others = json.loads((RESULTS / "segmentation-heldout.json").read_text())
-    parts = {
-        "photographed": photographed(figures["photographed"]),
-        "heldout": held_out(others),
-        "cost": table(["", "times imdecode, p50"], [[k, f"{v:.1f}"] for k, v in figures["cost_ratio_p50"].items()]),
-        "rendered": rendered(figures["rendered_median_iou"]),
-        "machine": machine(figures["machine"]),
-    }
     page = PAGE.read_text()
-    for name, text in parts.items():
+    for name, text in parts(figures, others).items():
         page, count = re.subn(
             rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
             lambda m, text=text: m[1] + text + "\n" + m[2],
@@ -72,6 +65,17 @@ def main() -> None:
         if count != 1:
             raise SystemExit(f"{PAGE.name} has {count} places for {name!r}, and wants one.")
     PAGE.write_text(page)
+
+
+def parts(figures: dict, others: dict) -> dict[str, str]:
+    """Mark -> what stands there."""
+    return {
+        "photographed": photographed(figures["photographed"]),
+        "heldout": held_out(others),
+        "cost": table(["", "times imdecode, p50"], [[k, f"{v:.1f}"] for k, v in figures["cost_ratio_p50"].items()]),
+        "rendered": rendered(figures["rendered_median_iou"]),
+        "machine": machine(figures["machine"]),
+    }
 
 
 if __name__ == "__main__":

@@ -121,7 +121,7 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines)
 
 
-BEGIN, END = "<!-- traced: begin -->", "<!-- traced: end -->"
+BEGIN, END = "<!-- traced -->", "<!-- /traced -->"
 
 
 def tabling(arguments: argparse.Namespace) -> None:
