@@ -36,7 +36,7 @@ from .tables import RESULTS, ROOT, put
 
 def figures(name: str) -> Any:
     found = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-    return found["figures"] if "figures" in found else found
+    return found.get("figures", found)
 
 
 def rows(name: str) -> list[dict[str, Any]]:
