@@ -257,9 +257,11 @@ class Watch:
             log.exception("%s was not checked", _named(hold))
             self._ledger.blind(blindness.BUG, f"Checking failed ({type(error).__name__}). The log has the details.")
         finally:
-            if current is not None and not gone:
-                self._plan(current)
-            self.holds.release(hold)
+            try:
+                if current is not None and not gone:
+                    self._plan(current)
+            finally:
+                self.holds.release(hold)
         if current is not None and gone:
             log.warning("%s was not checked: %s", _named(hold), gone)
             self._revive_later(current, gone)
