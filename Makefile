@@ -15,7 +15,7 @@ demo: $(VENV)/.demo
 	@$(VENV)/bin/moop demo $(ARGS)
 
 test: $(VENV)/.test
-	@$(VENV)/bin/python -m pytest $(ARGS)
+	@$(VENV)/bin/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadscope --no-loadscope-reorder $(ARGS)
 
 lint: $(VENV)/.test
 	$(VENV)/bin/ruff check .
