@@ -42,6 +42,7 @@ def save(page: Any) -> None:
 
 def test_what_is_changed_in_the_page_is_what_the_server_keeps(settings_page: Any, server: DemoServer) -> None:
     page = settings_page()
+    page.add_style_tag(content="#settings_plugin_moop { letter-spacing: 1px; }")  # so that lines are full and break
     page.uncheck(field("watch_prints"))
     page.select_option(field("on_failed"), "notify")
     page.fill(field("saturation_min"), "0,55")
