@@ -5,8 +5,10 @@ Apart from `recording.py`, which reads them, because the server writes and must 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
+import os
 import re
 import shutil
 import time
@@ -23,6 +25,8 @@ SPARE_BYTES = 300 * 1024 * 1024
 """What is left to the system: nothing is recorded on a disk with less free space than this."""
 
 _WORSE = ("ok", "unusable", "camera_moved", "suspect", "failed")
+PACKING = "job.gcode.gz.part"
+"""The job's packed copy while it is being written."""
 _KEEP = "keep"
 """An empty file of this name in a recording's folder: the user wants to keep it."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
@@ -35,7 +39,7 @@ class Recorder:
         self._root, self._budget_bytes = root, budget_bytes
         self._header = header
         self._outcome: dict[str, Any] = {"job": job_name, "checks": 0, "verdict": "ok", "mode": None, "layer": None}
-        self._frames = 0
+        self._frames = self._used_bytes = 0
         self.folder: Path | None = None
         """None where nothing is recorded (any more)."""
         self.trouble = ""
@@ -82,8 +86,8 @@ class Recorder:
         try:
             # The picture first: a power cut between the two leaves a picture too many, never a line without one.
             (self.folder / moment["frame"]).write_bytes(jpeg)
-            _append(self.folder / "frames.jsonl", moment)
-            _append(self.folder / "checks.jsonl", check)
+            lines = _append(self.folder / "frames.jsonl", moment) + _append(self.folder / "checks.jsonl", check)
+            self._used_bytes += len(jpeg) + lines
             if final:
                 self._note(check)
             if self._frames % 50 == 0:
@@ -96,6 +100,8 @@ class Recorder:
         if self.folder is not None:
             self._outcome["ended"] = ended
             try:
+                if not (self.folder / PACKING).exists():  # it does not grow any more: to be counted once and for all
+                    self._outcome["bytes"] = _size(self.folder)
                 write_json(self.folder / "outcome.json", self._outcome)
                 self._make_room()
             except OSError as error:
@@ -108,7 +114,9 @@ class Recorder:
             write_json(self.folder / "outcome.json", self._outcome)  # type: ignore[operator]
 
     def _make_room(self) -> None:
-        make_room(self._root, self._budget_bytes, keep=self.folder)
+        """Counted anew only where it may be needed: at the beginning, and when the budget is used up."""
+        if not self._frames or self._used_bytes > self._budget_bytes:
+            self._used_bytes = make_room(self._root, self._budget_bytes, keep=self.folder)
         if is_disk_full(self._root):
             raise OSError("the disk is almost full")
 
@@ -144,25 +152,38 @@ def kept(root: Path) -> list[Kept]:
             outcome = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             outcome = {}
-        size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-        found.append(Kept(folder.name, size, outcome if isinstance(outcome, dict) else {}, (folder / _KEEP).exists()))
+        if not isinstance(outcome, dict):
+            outcome = {}
+        size = outcome.pop("bytes", None)
+        size = size if isinstance(size, int) and "ended" in outcome else _size(folder)
+        found.append(Kept(folder.name, size, outcome, (folder / _KEEP).exists()))
     return found
 
 
-def make_room(root: Path, budget_bytes: int, keep: Path | None = None) -> None:
+def _size(folder: Path) -> int:
+    """Bytes of all files in a folder and below."""
+    size = 0
+    with contextlib.suppress(FileNotFoundError), os.scandir(folder) as entries:  # removed meanwhile
+        for entry in entries:
+            size += _size(Path(entry.path)) if entry.is_dir(follow_symlinks=False) else entry.stat().st_size
+    return size
+
+
+def make_room(root: Path, budget_bytes: int, keep: Path | None = None) -> int:
     """Remove recordings until they fit into the budget: the oldest first, those of failed prints last.
 
-    Those that the user keeps are never removed, and take their room from the others.
+    Those that the user keeps are never removed, and take their room from the others. Answers what is used then.
     keep : the one that is being written, never removed
     """
     recordings = kept(root)
     used = sum(recording.bytes for recording in recordings)
     for recording in sorted(recordings, key=lambda r: (r.outcome.get("verdict") == "failed", r.name)):
         if used <= budget_bytes:
-            return
+            break
         if not recording.keep and (keep is None or recording.name != keep.name):
             shutil.rmtree(root / recording.name, ignore_errors=True)
             used -= recording.bytes
+    return used
 
 
 def is_disk_full(root: Path) -> bool:
@@ -210,6 +231,8 @@ def _new_folder(root: Path, job_name: str) -> Path:
     raise OSError(f"no free name for {name}")
 
 
-def _append(path: Path, line: dict[str, Any]) -> None:
-    with open(path, "a", encoding="utf-8") as file:
-        file.write(json.dumps(line) + "\n")
+def _append(path: Path, line: dict[str, Any]) -> int:
+    """Answers how many bytes were written."""
+    text = (json.dumps(line) + "\n").encode()
+    with open(path, "ab") as file:
+        return file.write(text)

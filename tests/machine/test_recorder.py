@@ -116,3 +116,24 @@ def test_a_disk_that_fails_in_mid_print_ends_the_recording_and_nothing_else(tmp_
 def test_a_recording_that_is_not_there_cannot_be_removed(tmp_path):
     with pytest.raises(RecordingError, match="cannot be removed"):
         recorders.remove(tmp_path / "2026-01-01_cube")
+
+
+def test_a_recording_is_counted_once_when_it_has_ended_and_by_its_files_where_it_has_not(tmp_path):
+    ended, cut_short = record(tmp_path, "one", ["ok"] * 3), record(tmp_path, "two", ["ok"] * 3, ended="")
+    sizes = [sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) for folder in (ended, cut_short)]
+    found = [recording.bytes for recording in kept(tmp_path)]
+    assert found[1] == sizes[1] and 0 <= sizes[0] - found[0] < 40, "but for the line that says so"
+    for folder in (ended, cut_short):
+        (folder / "frames" / "more.jpg").write_bytes(b"x" * 5000)
+    assert [recording.bytes - size for recording, size in zip(kept(tmp_path), found)] == [0, 5000]
+
+
+def test_a_long_print_makes_room_for_itself_when_the_budget_is_used_up(tmp_path):
+    old = record(tmp_path, "old", ["ok"] * 5)
+    recorder = Recorder(tmp_path, "long", HEADER, 60_000)
+    for n in range(50):
+        recorder.add(b"x" * 500, moment(n), check())
+    assert old.is_dir()
+    for n in range(50, 100):
+        recorder.add(b"x" * 500, moment(n), check())
+    assert not old.is_dir() and recorder.folder is not None and recorder.folder.is_dir()
