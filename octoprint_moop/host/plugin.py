@@ -14,6 +14,7 @@ from ..core.errors import FrameError, SettingsError
 from ..core.settings import DEFAULTS, VERSION, Settings, described, migrate, read_settings, read_value
 from ..machine import recorder
 from ..machine.calibrations import Calibrations
+from ..machine.copies import find_copy
 from ..machine.homing import Homing
 from ..machine.ledger import Ledger
 from ..machine.link import EyeLink
@@ -128,10 +129,11 @@ class MoopPlugin(
         mesh, header = self._mesh_of(key), self._setups.get(*self._setup_key())
         if origin != "local":
             why = (
-                "This print runs from the printer's own storage, where nobody can hold it for a look. "
-                "With a model and its layer height it can still be watched: attach one to this job."
+                "This print runs from the printer's own storage, where nobody can hold it for a look. With the same file "
+                "among OctoPrint's own, or a model and its layer height attached, it can still be watched."
             )
-            return Job(name, None, header, why, key, mesh, held=False)
+            uploads, size = Path(self._file_manager.path_on_disk("local", "")), payload.get("size")
+            return Job(name, None, header, why, key, mesh, held=False, copy=lambda: find_copy(uploads, path, size))
         return Job(name, self._file_manager.path_on_disk("local", path), header, "", key, mesh)
 
     def _setup_key(self) -> tuple[str, str]:

@@ -22,6 +22,11 @@ CAMERA_MOVED = "camera_moved"
 OUT_OF_VIEW = "out_of_view"
 BUG = "bug"
 
+UNCONFIRMED = (
+    "This print runs from the printer's own storage. A file of the same name and size is here: it is looked at by the clock, "
+    "from the first look on that finds the printer where that file has it."
+)
+
 WANTED = (IDLE, READING, OFF, OFF_FOR_PRINT)
 """Nobody watches, and nobody expects it."""
 
@@ -48,3 +53,15 @@ class NoReport(MoopError):
     """The printer was asked where it stands and did not say."""
 
     code = "no_report"
+
+
+class OtherFile(MoopError):
+    """What the printer reads from its own storage is not the file that was taken for its copy."""
+
+    code = NOT_LOCAL
+
+
+class WentOn(MoopError):
+    """The printer did not stand still for a picture that needs it to."""
+
+    code = NOT_HELD

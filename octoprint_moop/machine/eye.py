@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 import traceback
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any, Callable
 
@@ -39,6 +40,7 @@ from .bench import Answer
 from .jobtext import job_text
 from .lasting import LastingRenderer
 from .parking import Modes, read_modes
+from .passing import Reported, place
 from .pictures import decode, encode_mask
 from .pipe import receive, send
 from .recording import Recording
@@ -60,6 +62,7 @@ class Eye:
         self._progress = progress
         self._inspector: Inspector | None = None
         self._road: Road | None = None
+        self._job: Path | None = None
         self._renderer_stack = contextlib.ExitStack()
         self._renderer: LastingRenderer | None = None
 
@@ -112,7 +115,7 @@ class Eye:
             with contextlib.suppress(OSError):  # a full disk costs the recording, never the check
                 Path(keep_mesh_as).write_bytes(road.solid.stl())
         reference = decode(blobs[0]) if blobs else None
-        self._road = road
+        self._road, self._job = road, path
         self._inspector = Inspector(
             Header.from_json(header), toolpath, road.drawn_by(self._draw()), read_settings(settings), reference
         )
@@ -148,6 +151,17 @@ class Eye:
     def still(self, blobs: list[bytes]) -> Answer:
         """Whether nothing has moved between two frames. blobs: both, JPEG."""
         return {"still": is_still(decode(blobs[0]), decode(blobs[1]))}, []
+
+    def place(
+        self, blobs: list[bytes], done_bytes: int, most_bytes: int, total_bytes: int, position_mm: list[float]
+    ) -> Answer:
+        """Where a print stands that the printer reads from its own storage: file_pos, sure_pos, layer, known; and
+        laid, how many beads lie for sure. The arguments are those of `Reported`."""
+        _, road = self._opened()
+        assert self._job is not None
+        x, y, z = position_mm
+        found = place(road.toolpath, self._job, Reported(done_bytes, most_bytes, total_bytes, (x, y, z)))
+        return {**asdict(found), "laid": road.toolpath.laid_at(found.sure_pos)}, []
 
     def accept(self, blobs: list[bytes]) -> Answer:
         """The user goes on with the print as the last check saw it."""
@@ -198,7 +212,7 @@ class Eye:
                 getattr(self, said[moment.frame])([])
 
 
-QUESTIONS = ("index", "open", "reference", "check", "still", "accept", "pardon", "pictures")
+QUESTIONS = ("index", "open", "reference", "check", "still", "place", "accept", "pardon", "pictures")
 
 
 def answer(eye: Eye, do: str, blobs: list[bytes], arguments: dict[str, Any]) -> Answer:

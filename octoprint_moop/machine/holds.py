@@ -26,6 +26,7 @@ BARE = -1
 _REPORT = re.compile(
     r"X:\s*(-?\d+(?:\.\d+)?)\s*Y:\s*(-?\d+(?:\.\d+)?)\s*Z:\s*(-?\d+(?:\.\d+)?)(?:\s*E:\s*(-?\d+(?:\.\d+)?))?"
 )
+_READ = re.compile(r"SD printing byte (\d+)/(\d+)")
 
 
 class Printer(Protocol):
@@ -44,6 +45,8 @@ class Hold:
     lost     : the connection went, and OctoPrint's hold with it
     marked   : the slicer's own mark brought it about, with the head where the user wants it
     unheld   : the job runs from the printer's own storage: its firmware was told to stand still for a while instead
+    read     : (bytes, of how many) that such a firmware has told to have read since it was last asked
+    sure_pos : as in a Moment
     """
 
     file_pos: int
@@ -59,6 +62,8 @@ class Hold:
     dropped: str = ""
     lost: bool = False
     unheld: bool = False
+    read: list[tuple[int, int]] = field(default_factory=list)
+    sure_pos: int | None = None
 
     def drop(self, why: str, lost: bool = False) -> None:
         self.dropped, self.lost = why, lost or self.lost
@@ -142,8 +147,14 @@ class Holds:
             if self._hold is not None or self._plan is None:
                 return
             self._hold = hold
-        self._printer.commands(["M400", "M114", f"G4 P{dwell_s * 1000:.0f}"], tags={hold.tag})
+        self._printer.commands(["M27", "M400", "M27", "M114", f"G4 P{dwell_s * 1000:.0f}"], tags={hold.tag})
         self._hand_over(hold)
+
+    def glance_again(self, hold: Hold) -> None:
+        """Ask the same firmware once more how far it is and where it stands, and begin to wait anew for its report."""
+        self._await_anew(hold)
+        hold.read = []
+        self._printer.commands(["M27", "M114"], tags={hold.tag})
 
     def drop(self, why: str, lost: bool = False) -> None:
         """Whoever waits for a hold shall stop waiting and release it. lost: its connection has gone."""
@@ -153,17 +164,20 @@ class Holds:
 
     def move(self, hold: Hold, commands: Sequence[str]) -> None:
         """Send moves while the job is held, and begin to wait anew for the printer to report where they ended."""
-        hold.armed, hold.position_mm = False, None
-        hold.over.clear()
-        if hold.dropped:
-            hold.over.set()
-        hold.tag = f"{SETTLE_TAG}:{next(self._numbers)}"
+        self._await_anew(hold)
         self._printer.commands([*commands, "M400", "M114"], tags={hold.tag})
 
     def move_back(self, hold: Hold, commands: Sequence[str]) -> None:
         """Send moves that end the hold's own; nobody waits for them, and the file's next line comes after."""
         if not hold.dropped:
             self._printer.commands(list(commands), tags={hold.tag})
+
+    def _await_anew(self, hold: Hold) -> None:
+        hold.armed, hold.position_mm = False, None
+        hold.over.clear()
+        if hold.dropped:
+            hold.over.set()
+        hold.tag = f"{SETTLE_TAG}:{next(self._numbers)}"
 
     def release(self, hold: Hold) -> None:
         """Let the job go on. Harmless where it was done before, or the connection has gone."""
@@ -211,7 +225,13 @@ class Holds:
 
     def line_received(self, line: str) -> None:
         hold = self._hold
-        if hold is None or not hold.armed or hold.position_mm is not None:
+        if hold is None:
+            return
+        if hold.unheld:
+            told = _READ.search(line)
+            if told:
+                hold.read.append((int(told.group(1)), int(told.group(2))))
+        if not hold.armed or hold.position_mm is not None:
             return
         report = _REPORT.search(line)
         if report:

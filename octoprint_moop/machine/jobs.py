@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from ..core.settings import Settings
@@ -25,6 +27,7 @@ class Job:
     key    : tells it from other jobs, as `meshes.Meshes` knows it
     mesh   : what the eye must know of the mesh that is to be used; None for none
     held   : False where the printer reads it from its own storage: it can be stopped for a look, but not held
+    copy   : finds the same file among OctoPrint's own, where it is not; slow
     """
 
     name: str
@@ -34,6 +37,7 @@ class Job:
     key: str = ""
     mesh: dict[str, Any] | None = None
     held: bool = True
+    copy: Callable[[], Path | None] = lambda: None
     over: threading.Event = field(default_factory=threading.Event)
 
 
@@ -47,6 +51,7 @@ class Print:
     ends, bare_ends : file positions of the layers' ends, and of those before the first bead
     modes           : what the file has set at each of these
     reference       : the empty bed, JPEG, and what a header says of it; empty where it was not seen
+    strange         : how often in a row the printer stood where its file has no bead's end
     """
 
     job: Job
@@ -63,6 +68,7 @@ class Print:
     born: int = 0
     revivals: int = 0
     last_pos: float = -1
+    strange: int = 0
     looked_s: float | None = None
     last_jpeg: bytes = b""
     frames: int = 0
@@ -106,6 +112,11 @@ class Print:
         x = left + width - EDGE_MM if near_left and not near_right else left + EDGE_MM
         moving = printer["bed_motion"] == "y"
         return x, printer["bed_reference_mm"]["y"] if moving else front + depth - EDGE_MM
+
+    @property
+    def by_clock(self) -> bool:
+        """No line of the file tells when a layer ends."""
+        return self.by_height or not self.job.held
 
     def stands_clear(self, position_mm: tuple[float, float, float]) -> bool:
         """The head is beside the print, not above it."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..core.errors import FrameError
 from ..core.settings import Settings
-from .blindness import NoReport
+from .blindness import NoReport, OtherFile, WentOn
 from .holds import Hold, Holds
 from .jobs import Print
 from .link import EyeLink, Interrupted
@@ -21,6 +21,8 @@ LOOK_AGAIN = ("suspect", "failed")
 APART_S = 0.25
 """Between two pictures of the same hold. Within it a camera at work delivers another one."""
 ATTEMPTS = 3
+STRANGE = 3
+"""So often in a row a printer may stand where its file has no bead's end: on its way, or because the file is another."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Looks:
 
     def check(self, current: Print, hold: Hold, settings: Settings) -> list[Look]:
         """One look and, where it finds something, a second one, on which the verdict then rests."""
+        if hold.unheld and not current.by_height:
+            return self._check_in_passing(current, hold, settings)
         with self._at_rest(current, hold, settings):
             until_s = time.monotonic() + settings.check_timeout_s
             first = self._judged(current, hold, self._fresh(current, hold, until_s), until_s)
@@ -65,6 +69,61 @@ class Looks:
         if answer["taken"]:
             current.reference = jpeg, {"position_mm": moment["position_mm"]}
         return bool(answer["taken"])
+
+    def _check_in_passing(self, current: Print, hold: Hold, settings: Settings) -> list[Look]:
+        """The same for a print that goes on by itself: both pictures, then where it stood, then the judgement.
+
+        See `passing` for what is known then.
+        """
+        self._settle(hold, settings)
+        before, read = hold.position_mm, hold.read
+        if not read or before is None:
+            raise NoReport("The printer does not report how far it is in its file (M27), so nobody can tell what to expect.")
+        if hold.stopped.wait(settings.settle_s):
+            raise Interrupted(hold.dropped)
+        until_s = time.monotonic() + settings.check_timeout_s
+        first = self._fresh(current, hold, until_s)
+        if hold.stopped.wait(APART_S):
+            raise Interrupted(hold.dropped)
+        second = self._fresh(current, hold, until_s)
+        self._holds.glance_again(hold)
+        self._settle(hold, settings)
+        stood = hold.position_mm == before and hold.read[-1:] == read[-1:]
+        hold.position_mm = before
+        if not hold.read:
+            raise Interrupted("the printer prints no file any more")
+        until_s = time.monotonic() + settings.check_timeout_s
+        self._find_place(current, hold, read[0][0], until_s)
+        if not stood and (current.job.header or {})["printer"]["bed_motion"] == "y":
+            raise WentOn(
+                "The printer went on while its picture was taken. With a bed that moves, such a picture cannot be judged: "
+                "print from OctoPrint's own files."
+            )
+        parked = stood and current.stands_clear(before)
+        look = self._judged(current, hold, first, until_s, parked=parked)
+        if look.check["verdict"] not in LOOK_AGAIN:
+            return [look]
+        if not self._ask(current, hold, until_s, "still", first, second)["still"]:
+            return [_unconfirmed(look, FrameError("The printer went on meanwhile."))]
+        return [look, self._judged(current, hold, second, until_s, again=True, parked=parked)]
+
+    def _find_place(self, current: Print, hold: Hold, done_bytes: int, until_s: float) -> None:
+        most_bytes, total_bytes = hold.read[-1]
+        found = self._ask(
+            current, hold, until_s, "place", done_bytes=done_bytes, most_bytes=most_bytes, total_bytes=total_bytes,
+            position_mm=hold.position_mm,
+        )  # fmt: skip
+        if not found["laid"]:
+            raise Interrupted("nothing lies on the bed yet")
+        current.strange = 0 if found["known"] else current.strange + 1
+        if current.strange >= STRANGE:
+            raise OtherFile(
+                "The printer does not stand where the file of the same name and size here would have it: it prints another "
+                "one. Upload that, or print from OctoPrint's own files."
+            )
+        if not found["known"]:
+            raise Interrupted("it is not certain yet that the printer's file is the one of the same name here")
+        hold.file_pos, hold.sure_pos, hold.layer = found["file_pos"], found["sure_pos"], found["layer"]
 
     # --- the printer ----------------------------------------------------------------------------------------------
 
@@ -126,8 +185,12 @@ class Looks:
 
     # --- the eye --------------------------------------------------------------------------------------------------
 
-    def _judged(self, current: Print, hold: Hold, jpeg: bytes, until_s: float, again: bool = False) -> Look:
+    def _judged(
+        self, current: Print, hold: Hold, jpeg: bytes, until_s: float, again: bool = False, parked: bool | None = None
+    ) -> Look:
         moment = _moment(current, hold)
+        if parked is not None:
+            moment["parked"] = parked
         if again:
             moment["again"] = True
         current.frames += 1
@@ -152,6 +215,8 @@ def _moment(current: Print, hold: Hold) -> dict[str, Any]:
         "position_mm": dict(zip("xyz", hold.position_mm)), "time_s": round(time.monotonic() - current.began_s, 3),
         "parked": hold.marked or current.stands_clear(hold.position_mm),
     }  # fmt: skip
+    if hold.sure_pos is not None:
+        moment["sure_pos"] = hold.sure_pos
     if current.cancelled:
         moment["cancelled"] = dict(current.cancelled)
     return moment

@@ -10,7 +10,7 @@ import logging
 import queue
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Callable
 
@@ -32,7 +32,7 @@ log = logging.getLogger("octoprint.plugins.moop.watch")
 
 REVIVALS = 5
 TICK_S = 2.0
-BY_HEIGHT_S = 60.0
+BY_CLOCK_S = 60.0
 """How often to look where no G-code tells when a layer ends."""
 GLANCE_S = 1.5
 """How long a picture may take while the firmware stands still."""
@@ -155,11 +155,14 @@ class Watch:
                 log.exception("The watch stumbled, and goes on")
 
     def _begin(self, job: Job) -> None:
+        if job.path is None and job.mesh is None:
+            copy = job.copy()
+            job = job if copy is None else replace(job, path=str(copy))
         self._print = current = Print(job, job.mesh)
         self.holds.plan_none()
         self.responder.begin()
         self._ledger.begin(job.name)
-        if job.mesh is None and (job.why_not or job.path is None):
+        if job.mesh is None and job.path is None:
             self._ledger.blind(blindness.NOT_LOCAL, job.why_not or "This print's file is not OctoPrint's own.")
             return
         if job.header is None:
@@ -209,11 +212,16 @@ class Watch:
         if not again:
             self.responder.begin(result["objects"], result["cancel_commands"])
         self._plan(current)
-        self._ledger.note(renderer=result["renderer"], layers=result["layers"], road=result["road"])
-        if result["layers"]:
-            self._ledger.note(blind=None)
-        else:
+        by_bytes = current.by_clock and not current.by_height
+        self._ledger.note(
+            renderer=result["renderer"], layers=result["layers"], road="bytes" if by_bytes else result["road"]
+        )
+        if not result["layers"]:
             self._ledger.blind(blindness.NO_LAYERS, "The file extrudes nothing that could be watched.")
+        elif by_bytes and not self._ledger.status["checks"]:
+            self._ledger.blind(blindness.NOT_LOCAL, blindness.UNCONFIRMED)
+        else:
+            self._ledger.note(blind=None)
 
     def _revive_later(self, current: Print, why: str) -> None:
         """The eye has gone. Start it again, a little later each time, until it is plain that it will not stay."""
@@ -245,6 +253,7 @@ class Watch:
                 else:
                     current.looked_s = hold.since_s
                     looks = self._looks.check(current, hold, self._settings)
+                    current.last_pos = hold.file_pos
                     self.responder.to_check(looks[-1].check, self._settings)
         except Interrupted as error:
             log.info("%s was not checked: %s", _named(hold), hold.dropped or error)
@@ -319,8 +328,8 @@ class Watch:
             self.responder.to_seeing()
         else:  # ticks come only while nothing else is to be done, so this is the least that it can be
             self.responder.to_blindness(TICK_S, settings)
-        if current.by_height and not self.holds.refused:
-            self._look_by_height(current)
+        if current.by_clock and not self.holds.refused:
+            self._look_by_clock(current)
         elif not watching:
             return
         elif self.holds.refused:
@@ -338,10 +347,10 @@ class Watch:
         elif settings.longest_s and settings.capture != "slicer" and self._ledger.age_s > settings.longest_s:
             self.holds.ask()
 
-    def _look_by_height(self, current: Print) -> None:
+    def _look_by_clock(self, current: Print) -> None:
         since_s = current.began_s if current.looked_s is None else current.looked_s
-        longest_s = self._settings.longest_s or BY_HEIGHT_S
-        if time.monotonic() - since_s > min(longest_s, BY_HEIGHT_S) and not (current.switched_off or self._paused):
+        longest_s = self._settings.longest_s or BY_CLOCK_S
+        if time.monotonic() - since_s > min(longest_s, BY_CLOCK_S) and not (current.switched_off or self._paused):
             self._look_anywhere(current)
 
     def _look_anywhere(self, current: Print) -> None:
@@ -381,7 +390,7 @@ class Watch:
 
     def _skip(self, name: str, file_pos: int) -> None:
         if self._print is not None:
-            self._print.cancelled.setdefault(name, max(file_pos, 0))
+            self._print.cancelled.setdefault(name, max(file_pos, int(self._print.last_pos), 0))
 
     def _read_ahead(self, ahead: Ahead) -> None:
         self._idle_since_s = time.monotonic()

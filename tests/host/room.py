@@ -26,6 +26,7 @@ from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Header, Printer
 from octoprint_moop.core.segmentation.segment import HsvThresholds
 from octoprint_moop.demo.server import DemoServer
+from octoprint_moop.machine.copies import is_same_name
 
 WIDTH, HEIGHT = 640, 480
 FILAMENT_BGR = (20, 120, 240)
@@ -207,6 +208,7 @@ class Room:
         )  # fmt: skip
         self.webcam.file_pos = self.sent_pos
         self._sent_from = self._prints = 0
+        self._stored = False
 
     def __enter__(self) -> Room:
         self.server.__enter__()
@@ -245,6 +247,33 @@ class Room:
         self.wait("the print is noticed", lambda: self.status["job"] == name and self.status["blind_code"] != "idle")
         return path
 
+    def store(self, text: str, name: str) -> tuple[str, str]:
+        """Put a file into the printer's own storage; its origin and path there."""
+        storage = self.server.basedir / "virtualSd"
+        storage.mkdir(exist_ok=True)
+        (storage / name).write_text(text)
+        self.server.api("POST", "/api/printer/sd", json={"command": "init"})
+        self.server.api("POST", "/api/printer/sd", json={"command": "refresh"})
+
+        def listed() -> tuple[str, str] | None:
+            for origin in ("sdcard", "printer"):  # OctoPrint 1.11's name for it, and 2.0's
+                answer = self.server.request("GET", f"/api/files/{origin}")
+                for file in answer.json()["files"] if answer.ok else ():
+                    if is_same_name(name, file["path"]):
+                        return origin, file["path"]
+            return None
+
+        return self.wait("it is listed", listed)
+
+    def print_stored(self, origin: str, path: str) -> None:
+        """Begin to print a file from the printer's own storage, and wait until that is noticed."""
+        self._sent_from = len(self._sent_lines())
+        self._stored = True
+        # the virtual printer does the moves in such a file, and nothing else
+        self.server.api("POST", "/api/printer/command", json={"commands": ["G28", "G90", "M83"]})
+        self.server.api("POST", f"/api/files/{origin}/{path}", json={"command": "select", "print": True})
+        self.wait("the print is noticed", lambda: self.status["job"] == path and self.status["blind_code"] != "idle")
+
     def reconnect(self, **virtual_printer: Any) -> None:
         """Connect anew, to a virtual printer with these settings."""
         self.server.api("POST", "/api/settings", json={"plugins": {"virtual_printer": virtual_printer}})
@@ -270,6 +299,9 @@ class Room:
             self.server.request("POST", "/api/job", json={"command": "cancel"})
             time.sleep(0.5)
         self.server.wait_state({"Operational"}, 1)
+        if self._stored:  # once a print from its storage was cancelled, the virtual printer ends the next one at once
+            self._stored = False
+            self.reconnect()
 
     # --- seeing ---------------------------------------------------------------------------------------------------
 

@@ -1,5 +1,5 @@
-"""A single-file plugin for the tests' server: writes down what was sent, starts prints where REST has no way to, and
-holds the print for pictures of its own where a test wants that."""
+"""A single-file plugin for the tests' server: writes down what was sent, starts prints where REST has no way to, holds the
+print for pictures of its own where a test wants that, and gives the virtual printer a storage like a real one's."""
 
 import json
 import os
@@ -11,10 +11,59 @@ from octoprint.schema.webcam import Webcam
 from octoprint.webcams import get_snapshot_webcam, get_webcams
 
 
+class Storage:
+    """The virtual printer goes on with the file of its own storage whatever else it is told. A real one does no line of it
+    while it obeys a command, nor (Klipper) for a tenth of a second afterwards.
+
+    after_s : how long it waits afterwards
+    """
+
+    after_s = 0.1
+
+    def __init__(self):
+        from octoprint.plugins.virtual_printer.virtual import VirtualPrinter
+
+        self._timer = None
+        for name in ("_gcode_M400", "_gcode_M27", "_gcode_M114", "_gcode_G4"):
+            setattr(VirtualPrinter, name, self._still(getattr(VirtualPrinter, name)))
+        VirtualPrinter._pauseSdPrint = self._ended(VirtualPrinter._pauseSdPrint)
+
+    def _still(self, command):
+        def obey(printer, data):
+            if printer._sdPrinter is None or (self._timer is None and not printer._sdPrintingSemaphore.is_set()):
+                return command(printer, data)
+            self._cancel()
+            printer._sdPrintingSemaphore.clear()
+            try:
+                return command(printer, data)
+            finally:
+                self._timer = threading.Timer(self.after_s, lambda: self._go_on(printer))
+                self._timer.start()
+
+        return obey
+
+    def _ended(self, pause):
+        def obey(printer):
+            self._cancel()
+            pause(printer)
+
+        return obey
+
+    def _cancel(self):
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = None
+
+    def _go_on(self, printer):
+        self._timer = None
+        printer._sdPrintingSemaphore.set()
+
+
 class Spy(octoprint.plugin.SimpleApiPlugin, octoprint.plugin.WebcamProviderPlugin):
     def initialize(self):
         path = os.path.join(self.get_plugin_data_folder(), "sent.jsonl")
         self._sent = open(path, "a", buffering=1)  # noqa: SIM115  open for as long as the server runs
+        self._storage = Storage()
 
     def on_sent(self, comm, phase, cmd, cmd_type, gcode, subcode=None, tags=None, *args, **kwargs):
         self._sent.write(json.dumps([cmd, sorted(tags or ())]) + "\n")
@@ -47,11 +96,13 @@ class Spy(octoprint.plugin.SimpleApiPlugin, octoprint.plugin.WebcamProviderPlugi
         return True
 
     def get_api_commands(self):
-        return {"start_from": ["pos"], "stabilise": ["on"]}
+        return {"start_from": ["pos"], "stabilise": ["on"], "storage": ["after_s"]}
 
     def on_api_command(self, command, data):
         if command == "start_from":
             self._printer.start_print(pos=data["pos"])
+        elif command == "storage":
+            self._storage.after_s = data["after_s"]
         else:
             self._stabilises = data["on"]
 

@@ -137,19 +137,5 @@ def test_a_printer_that_disconnects_while_held_is_watched_again_after_reconnecti
 
 
 def test_a_job_from_the_printers_own_storage_is_said_not_to_be_watched(room):
-    card = room.server.basedir / "virtualSd"
-    card.mkdir(exist_ok=True)
-    (card / "from_the_card.gcode").write_text(box_gcode(2))
-    room.server.api("POST", "/api/printer/sd", json={"command": "init"})
-    room.server.api("POST", "/api/printer/sd", json={"command": "refresh"})
-
-    def listed() -> list[str]:
-        for storage in ("sdcard", "printer"):  # OctoPrint 1.11's name for it, and 2.0's
-            answer = room.server.request("GET", f"/api/files/{storage}")
-            if answer.ok:
-                return [f"{storage}/{file['path']}" for file in answer.json()["files"]]
-        return []
-
-    name = room.wait("listed", listed)[0]
-    room.server.api("POST", f"/api/files/{name}", json={"command": "select", "print": True})
+    room.print_stored(*room.store(box_gcode(2), "from_the_card.gcode"))
     room.wait("said so", lambda: "own storage" in (room.status["blind"] or ""))

@@ -106,7 +106,10 @@
             return "";
         }
         const values = {layer: layerNumber(status.layer), layers: status.layers};
-        return status.layers ? say("layer %(layer)s of %(layers)s", values) : say("layer %(layer)s", values);
+        const layer = status.layers ? say("layer %(layer)s of %(layers)s", values) : say("layer %(layer)s", values);
+        // what the printer reads from its own storage cannot be held at the end of each layer
+        const byClock = status.road === "bytes" || status.road === "height";
+        return byClock ? joined([layer, say("looked at by the clock only")]) : layer;
     }
 
     function lastLook(check, ageSeconds) {

@@ -15,6 +15,11 @@ test("a print that goes well is told in one line", () => {
     });
 });
 
+test("a print that the printer reads from its own storage is said to be looked at by the clock only", () => {
+    ["bytes", "height"].forEach((road) => assert.strictEqual(words.state(status({road: road}), 12.3, "printing").text,
+        "Watching · layer 41 of 120 · looked at by the clock only · last check 12 s ago · all well"));
+});
+
 test("a print before its first check says that there is none yet", () => {
     const told = words.state(status({last_check: null, layer: 0}), 0, "printing");
     assert.strictEqual(told.text, "Watching · layer 1 of 120 · no check yet");
