@@ -78,7 +78,9 @@ class Looks:
         self._settle(hold, settings)
         before, read = hold.position_mm, hold.read
         if not read or before is None:
-            raise NoReport("The printer does not report how far it is in its file (M27), so nobody can tell what to expect.")
+            raise NoReport(
+                "The printer does not report how far it is in its file (M27), so nobody can tell what to expect."
+            )
         if hold.stopped.wait(settings.settle_s):
             raise Interrupted(hold.dropped)
         until_s = time.monotonic() + settings.check_timeout_s

@@ -15,7 +15,9 @@ def stepping_aside(layers: int = 20) -> str:
     lines = []
     for line in box_gcode(layers=layers, side_mm=20, lines_per_side=1).splitlines():
         if " Z" in line and "F12000" in line:
-            lines += ["G1 X195 F400"] * 7  # what is behind a move in the printer's buffer is done before it stands still
+            lines += [
+                "G1 X195 F400"
+            ] * 7  # what is behind a move in the printer's buffer is done before it stands still
         lines.append(line)
     return "\n".join(lines) + "\n"
 
@@ -43,7 +45,7 @@ def test_a_print_whose_file_is_here_too_is_looked_at_by_the_position_that_the_pr
     room, text = by_clock, stepping_aside()
     room.print_stored(*same_here(room, text, "stored_box.gcode"))
     assert room.status["blind_code"] in ("reading", "not_local")
-    checks = room.wait_checks(3)
+    checks = room.wait_checks(2)
     assert room.status["road"] == "bytes" and "ok" in [check["verdict"] for check in checks]
     assert {check["verdict"] for check in checks} <= {"ok", "unusable"}, checks  # where the head hides it
     assert max(check["E"] or 0 for check in checks) < 0.08
