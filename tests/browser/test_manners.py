@@ -155,7 +155,15 @@ def test_nothing_jumps_when_another_picture_or_another_layer_is_shown(canned: Ca
         page.add_style_tag(content=f"#moop_watch {{ letter-spacing: {letters}; }}")
         page.wait_for_timeout(200)
         before = page.evaluate(where)
-        for button in ("show-plain", "show-seen", "show-expected", "show-difference", "step-back", "step-back", "follow"):
+        for button in (
+            "show-plain",
+            "show-seen",
+            "show-expected",
+            "show-difference",
+            "step-back",
+            "step-back",
+            "follow",
+        ):
             page.click(f"[data-test-id=moop-{button}]")
             page.wait_for_timeout(80)
             assert page.evaluate(where) == before, (button, letters)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import FrozenInstanceError
 
 import cv2
 import numpy as np
@@ -135,6 +136,48 @@ def test_a_camera_cannot_be_changed_behind_the_back_of_whoever_uses_it():
     for numbers in (camera.K, camera.distortion, camera.rvec, camera.tvec_mm):
         with pytest.raises(ValueError):
             numbers[0] = 1
+    with pytest.raises(FrozenInstanceError):
+        camera.model = "fisheye"
+    with pytest.raises(FrozenInstanceError):
+        BedMotion().kind = "y"
+
+
+def test_a_camera_can_be_a_key_and_is_equal_to_itself_alone():
+    camera = eye()
+    assert camera in {camera} and camera not in {eye()}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_camera_survives_its_file_and_names_its_model_only_where_it_is_not_the_usual_one(lens):
+    camera = eye(lens)
+    stored = camera.to_json()
+    assert ("model" in stored) == (lens == "fisheye")
+    again = Camera.from_json(stored)
+    assert again.model == camera.model and np.array_equal(again.project(POINTS[:3]), camera.project(POINTS[:3]))
+
+
+def test_a_pose_is_a_matrix_of_four_by_four():
+    matrix = eye().camera_from_room
+    assert matrix.shape == (4, 4) and matrix[3].tolist() == [0, 0, 0, 1]
+    assert np.allclose(matrix @ [*eye().centre_mm, 1], [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_turned_camera_sees_directions_where_the_camera_sees_the_points_that_lie_there(lens):
+    camera, turn = eye(lens), np.array([0.02, -0.03, 0.05])
+    in_camera = POINTS[:5] @ camera.camera_from_room[:3, :3].T + camera.tvec_mm
+    assert np.allclose(camera.turned(np.zeros(3)).project(in_camera), camera.project(POINTS[:5]), atol=1e-6)
+    turned = camera.turned(turn)
+    assert turned.centre_mm.tolist() == [0, 0, 0]
+    there = in_camera @ cv2.Rodrigues(turn)[0].T
+    assert np.allclose(turned.project(in_camera), camera.turned(np.zeros(3)).project(there), atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_camera_without_its_lens_is_a_pinhole(lens):
+    camera = eye(lens)
+    flat = camera.K @ (camera.camera_from_room @ np.vstack([POINTS.T, np.ones(len(POINTS))]))[:3]
+    assert np.allclose(camera.undistorted().project(POINTS), (flat[:2] / flat[2]).T, atol=1e-6)
 
 
 def test_another_shape_of_picture_is_refused():
@@ -164,6 +207,7 @@ def test_a_tilt_is_the_one_of_opencv():
 
 
 def test_a_bed_moves_the_print_against_the_machine():
+    assert BedMotion().kind == "fixed" and BedMotion("y").reference_mm == (0, 0, 0)
     assert BedMotion("fixed", (1, 2, 3)).room_from_print_mm((9, 9, 9)).tolist() == [0, 0, 0]
     assert BedMotion("y", (0, 200, 0)).room_from_print_mm((9, 150, 9)).tolist() == [0, 50, 0]
     assert BedMotion("z", (0, 0, 10)).room_from_print_mm((9, 9, 30)).tolist() == [0, 0, -20]
@@ -178,13 +222,15 @@ def test_numbers_that_are_no_camera_are_refused_in_words():
     for key, value, said in (
         ("K", [[1, 2], [3, 4]], "shape"), ("K", "abc", "list of numbers"),
         ("K", np.diag([-600, 600, 1]).tolist(), "focal"), ("K", np.diag([600, 0, 1]).tolist(), "focal"),
-        ("K", np.diag([0, 600, 1]).tolist(), "focal"), ("K", np.eye(4).tolist(), "shape"),
+        ("K", np.diag([0, 600, 1]).tolist(), "focal"), ("K", np.diag([600, -600, 1]).tolist(), "focal"),
+        ("K", np.eye(4).tolist(), "shape"),
         ("image_size_px", [640, 0], "640 x 0"),
         ("distortion", [0.1] * 6, "distortion"), ("rvec", [0, 0, float("nan")], "finite"), ("tvec_mm", None, "tvec_mm"),
         ("image_size_px", [0, 480], "0 x 480"), ("image_size_px", 640, "width, height"), ("model", "mirror", "mirror"),
     ):  # fmt: skip
         with pytest.raises(CameraError, match=said):
             Camera.from_json({**good, key: value})
+    assert Camera.from_json({**good, "image_size_px": [1, 1]}).image_size_px == (1, 1)
     assert Camera.from_json(good).to_json() == good
     fisheye = eye("fisheye").to_json()
     assert Camera.from_json(fisheye).to_json() == fisheye

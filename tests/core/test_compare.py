@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -38,7 +40,10 @@ def test_every_count_is_that_of_a_plain_loop_over_pixels(expected, observed, com
 def test_e_is_in_parts_of_the_complete_object_not_of_what_stands_now():
     expected, observed, complete = (np.zeros((10, 10), np.uint8) for _ in range(3))
     expected[:2], observed[:1], complete[:] = 255, 255, 255
-    assert compare(expected, observed, complete).error_ratio == 0.1
+    found = compare(expected, observed, complete)
+    assert found.error_ratio == 0.1 and found.ignored_px == 0
+    with pytest.raises(FrozenInstanceError):
+        found.total_px = 1
 
 
 def test_a_view_without_any_print_has_no_error():
