@@ -73,21 +73,31 @@ def test_the_wheel_names_its_plugin_its_command_its_licence_and_nothing_that_oct
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("octoprint", ["1.11.8", "2.0.0rc7"])
-def test_the_wheel_loads_beside_octoprint_in_an_empty_environment(wheel, octoprint, tmp_path):
-    if octoprint.startswith("1.") and sys.version_info >= (3, 14):
-        pytest.skip("OctoPrint 1.11 does not run on Python 3.14")
+def test_the_wheel_loads_beside_octoprint_in_an_empty_environment_and_after_octoprints_update(wheel, tmp_path):
+    versions = ["1.11.8", "2.0.0rc7"]
+    if sys.version_info >= (3, 14):
+        versions.remove("1.11.8")  # does not run on this Python
     venv.create(tmp_path / "env", with_pip=True)
     python = tmp_path / "env" / "bin" / "python"
-    pip(python, "install", "--quiet", "wheel")
-    pip(python, "install", "--quiet", "--prefer-binary", f"OctoPrint=={octoprint}", wheel)
+    install = (python, "install", "--quiet", "--no-compile", "--prefer-binary")
+    pip(*install, "wheel")
+    pip(*install, f"OctoPrint=={versions[0]}", wheel)
+    loads_in(python, versions[0], tmp_path / "base")
+    for version in versions[1:]:
+        pip(*install, f"OctoPrint=={version}")
+        loads_in(python, version, tmp_path / version)
+
+
+def loads_in(python, octoprint, basedir):
+    """A server of that environment has the plugin, its tab, its German words, and nothing to complain of."""
     assert "No broken requirements" in pip(python, "check")
-    with DemoServer(tmp_path / "base", octoprint_python=python) as server:
+    with DemoServer(basedir, octoprint_python=python) as server:
         assert server.api("GET", "/api/version")["server"] == octoprint
         plugins = {plugin["key"]: plugin for plugin in server.api("GET", "/plugin/pluginmanager/plugins")["plugins"]}
         assert plugins["moop"]["enabled"] and plugins["moop"]["origin"] == "entry_point"
         assert server.api("GET", "/plugin/moop/status")["watching"] is False
         page = server.request("GET", "/").text
-        assert "tab_plugin_moop" in page
+        assert "tab_plugin_moop" in page and "Past prints" in page
+        assert "Frühere Drucke" in server.request("GET", "/", headers={"Accept-Language": "de"}).text
         troubles = [line for line in server.log_text().splitlines() if "moop" in line and " - ERROR - " in line]
         assert not troubles
