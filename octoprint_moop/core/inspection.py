@@ -31,11 +31,13 @@ LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
 HIDDEN = "Something stands in the view: a hand, or a tool?"
+HEAD_HIDES = "The print head hides the print. Let it park for the picture."
 ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
 SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
 MISSED_RATIO = 0.1  # of what is not seen; where less is known to be missing or out of place, the rest may be there
 DRIFT_LEAST = 4.0  # grey levels by which a place where nothing came has not changed
 FLOODED = 1.5  # times the complete print: so much too much matter is no print's but the bed taken for filament
+LEAST_TELLING_RATIO = 0.3  # of the expected mask, that could be missed were it gone, to say that all is well
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 
 
@@ -59,6 +61,8 @@ class Check:
         if ruling is None:
             return cls(moment, look.blind, look.comparison, reason=look.reason)
         worst = ruling.worst
+        if worst.verdict == OK and look.little:
+            return cls(moment, UNUSABLE, look.comparison, limit=ruling.limit, reason=look.little)
         named = look.names.get(worst.object_id) if worst.verdict != OK else None
         who = f"{objects[worst.object_id]}: " if worst.object_id >= 0 else ""
         return cls(
@@ -216,7 +220,8 @@ class Inspector:
         observed = seen.mask
         hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
-        told = observed if moment.parked else observed | view.clearance.free(window, moment.position_mm)
+        free = np.zeros_like(observed) if moment.parked else view.clearance.free(window, moment.position_mm)
+        told = observed | free
         doubtful = expected.head & cv2.bitwise_not(told & expected.mask)
         ignored = steady.outside | window.from_small(hidden) | doubtful | seen.unsure | expected.ignored
         self._shown = lambda: Pictures(
@@ -269,7 +274,9 @@ class Inspector:
                 if outcome.verdict != OK
             }
 
-        self.look, ruling = self._courses.rule(Look(comparison, scopes=findings.scopes), moment, name)
+        would_tell = expected.mask & ~(expected.head & ~free)
+        little = HEAD_HIDES if _little_of(would_tell, expected.mask) else ""
+        self.look, ruling = self._courses.rule(Look(comparison, scopes=findings.scopes, little=little), moment, name)
         assert ruling is not None
         if ruling.teaches:
             self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)
@@ -298,7 +305,7 @@ class Inspector:
             return HIDDEN
         wanted = max(cv2.countNonZero(expected.mask), 1)
         if cv2.countNonZero(expected.mask & (doubtful | expected.ignored)) > MOST_HIDDEN_RATIO * wanted:
-            return "The print head hides the print. Let it park for the picture."
+            return HEAD_HIDES
         if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
             return ALIKE
         return ""
@@ -328,6 +335,11 @@ def conclude(looks: Iterable[tuple[Look, Moment]], sensitivity: str, objects: Se
     courses = Courses(sensitivity)
     for look, moment in looks:
         yield Check.of(moment, *courses.rule(look, moment), objects)
+
+
+def _little_of(part: np.ndarray, whole: np.ndarray) -> bool:
+    """Whether so little of the expected mask could be missed that seeing nothing wrong says nothing."""
+    return cv2.countNonZero(part) < LEAST_TELLING_RATIO * cv2.countNonZero(whole)
 
 
 def _tells_apart(findings: Findings, memory: Memory, tolerance_px: float) -> bool:

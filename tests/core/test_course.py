@@ -130,7 +130,7 @@ def test_what_the_user_accepted_is_judged_anew():
 def test_a_look_survives_json():
     one = Look(look(2.0, objects=2).comparison, "", "", look(2.0, objects=2).scopes, {0: Diagnosis("warping", "Up.")})
     assert Look.from_json(json.loads(json.dumps(one.to_json()))) == one
-    blind = Look(blind="unusable", reason="black")
+    blind = Look(blind="unusable", reason="black", little="The head.")
     assert Look.from_json(json.loads(json.dumps(blind.to_json()))) == blind
 
 

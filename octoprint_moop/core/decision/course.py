@@ -44,6 +44,7 @@ class Look:
     blind  : `unusable` or `camera_moved` where it could not be judged, with the reason; "" where it could
     scopes : the evidence of the whole (first) and of each object; empty where blind
     names  : what the failure would be called, by object, for each scope that may be asked
+    little : why nothing wrong would mean nothing, where so little is seen that a failure need not show; "" where it would
     """
 
     comparison: Comparison | None = None
@@ -51,6 +52,7 @@ class Look:
     reason: str = ""
     scopes: tuple[Evidence, ...] = ()
     names: Mapping[int, Diagnosis] = field(default_factory=dict)
+    little: str = ""
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -59,6 +61,7 @@ class Look:
             "reason": self.reason,
             "scopes": [asdict(scope) for scope in self.scopes],
             "names": [[number, name.mode, name.sentence] for number, name in self.names.items()],
+            "little": self.little,
         }
 
     @classmethod
@@ -73,6 +76,7 @@ class Look:
                 for scope in data["scopes"]
             ),
             {int(number): Diagnosis(mode, sentence) for number, mode, sentence in data["names"]},
+            str(data["little"]),
         )
 
 
