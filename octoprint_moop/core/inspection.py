@@ -16,8 +16,9 @@ from .decision.compare import Comparison, compare
 from .decision.course import Courses, Look, Ruling
 from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import Diagnosis, diagnose
-from .decision.evidence import TOLERANCE_PX, Findings, Sight, disc, find
+from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
 from .decision.memory import Memory
+from .decision.spots import disc
 from .errors import FrameError, SegmentationError
 from .expected.views import Expected, MaskRenderer, box_about
 from .head import HeadModel
@@ -177,7 +178,7 @@ class Inspector:
         for seen in self._seen.values():
             findings = seen.findings
             memory = seen.view.memory(seen.moment)
-            memory.accept(findings.window, findings.wanted, findings.look, findings.seen)
+            memory.accept(findings.window, findings.wanted, findings.look, findings.seen, findings.stray)
         self._courses.begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
@@ -266,6 +267,7 @@ class Inspector:
         if _unseen_and_unmissed(findings, memory):
             return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
         self._seen[moment.camera] = _Seen(view, moment, findings)
+        memory.keep_loose(findings.window, findings.loose, findings.seen)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
             return {

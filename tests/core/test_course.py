@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -125,6 +126,23 @@ def test_what_the_user_accepted_is_judged_anew():
     assert verdict(course, look(5.0)) == FAILED
     course.begin_anew(accept)
     assert verdict(course, look(), again=True) == OK  # there is nothing left that could be confirmed
+
+
+def test_matter_of_an_object_with_whose_failure_the_user_went_on_is_not_missed_from_the_whole():
+    def with_dead(share: float, barren_px: int = 400) -> Look:
+        """Of three objects the first gets that share of its matter, the others all of it."""
+        well = look().scopes[0]
+        dead = replace(look(share=share).scopes[0], object_id=0, deep_px=400, barren_px=0 if share else barren_px)
+        fresh = tuple((3 * new, 2 * new + seen) for new, seen in dead.fresh)
+        whole = replace(well, fresh=fresh, deep_px=1200, barren_px=dead.barren_px)
+        return replace(look(), scopes=(whole, dead, *(replace(well, object_id=n, deep_px=400) for n in (1, 2))))
+
+    course = Course("medium")
+    for _ in range(10):
+        course.rule(with_dead(1.0))
+    assert course.rule(with_dead(0.0)).worst.verdict == FAILED
+    course.begin_anew(accept)
+    assert {course.rule(with_dead(0.0, 100 + 30 * n)).worst.verdict for n in range(30)} == {OK}
 
 
 def test_a_look_survives_json():

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from octoprint_moop.core.decision.evidence import find, near_to, without_specks
+from octoprint_moop.core.decision.evidence import find
+from octoprint_moop.core.decision.spots import near_to, without_specks
 from octoprint_moop.core.expected.views import surroundings
 
 from .stage import LAYER_PX, SHAPE, Stage, moved, wall, walls
@@ -153,6 +154,37 @@ def test_what_hides_the_print_is_told_from_what_is_gone():
     assert found.hidden_px > 1000
     assert found.whole.lost_px == 0
     assert stage.look(12, wall(1, 12)).hidden_px == 0
+
+
+def strand(row: int, columns: slice) -> np.ndarray:
+    mask = np.zeros(SHAPE, bool)
+    mask[row : row + 4, columns] = True
+    return mask
+
+
+def test_strands_with_which_the_user_went_on_may_grow_but_others_are_new():
+    stage = Stage().printed(12)
+    hanging = strand(170, slice(60, 90))
+    found = stage.look(13, walls(13) | hanging)
+    assert found.whole.stray_px > 0
+    stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
+    longer = hanging | strand(162, slice(55, 85))
+    found = stage.look(14, walls(14) | longer)
+    assert found.whole.stray_px == 0 and np.count_nonzero(found.loose) >= 60
+    elsewhere = stage.look(14, walls(14) | longer | strand(170, slice(230, 260)))
+    assert elsewhere.scopes[2].stray_px == pytest.approx(4 * 28, rel=0.1) and elsewhere.scopes[1].stray_px == 0
+
+
+def test_once_loose_strands_were_taken_away_new_ones_count_again():
+    stage = Stage().printed(12)
+    hanging = strand(170, slice(60, 90))
+    found = stage.look(13, walls(13) | hanging)
+    stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
+    cleared = stage.look(14, walls(14))
+    stage.memory.keep_loose(cleared.window, cleared.loose, cleared.seen)
+    assert not stage.memory.loose(cleared.window).any()
+    again = stage.look(15, walls(15) | strand(150, slice(60, 90)))
+    assert again.whole.stray_px == pytest.approx(4 * 28, rel=0.1)
 
 
 def test_nothing_extruded_shows_at_the_first_layer_that_is_wide_enough_to_tell():

@@ -7,7 +7,7 @@ again with another sensitivity, without a picture being looked at.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from statistics import median
 from typing import Any, Callable
@@ -133,11 +133,13 @@ class Course:
             look = replace(look, scopes=_in_both(self._last[0].scopes, look.scopes))
         self._before = self._state
         tracks, outcomes, alarmed = dict(self._state.tracks), [], False
-        for evidence in look.scopes:
+        quiet = {number for number, track in tracks.items() if track.quiet}
+        scopes = tuple(_without_fresh_of(look.scopes, quiet))
+        for evidence in scopes:
             track = tracks.get(evidence.object_id, Track())
-            outcome, tracks[evidence.object_id], quiet = self._judge(track, evidence, CONFIRMED if known else DECISIVE)
+            outcome, tracks[evidence.object_id], good = self._judge(track, evidence, CONFIRMED if known else DECISIVE)
             outcomes.append(outcome)
-            alarmed |= not quiet
+            alarmed |= not good
         outcomes = blame(outcomes)
         if self._shaken:
             outcomes = [_only_suspect(outcome) for outcome in outcomes]
@@ -147,7 +149,7 @@ class Course:
         errors = self._state.errors
         limit = self._limit(tracks[WHOLE], look.comparison)
         if not alarmed:
-            tracks = {scope.object_id: learn(tracks[scope.object_id], scope) for scope in look.scopes}
+            tracks = {scope.object_id: learn(tracks[scope.object_id], scope) for scope in scopes}
             if look.comparison is not None:
                 errors = (*errors, look.comparison.error_ratio)[-GOOD_CHECKS:]
         taught = known and self._last is not None and self._last[1].teaches
@@ -225,6 +227,25 @@ class Courses:
         """See `Course.begin_anew`; of all cameras that have judged anything."""
         for course in self._courses.values():
             course.begin_anew(of)
+
+
+def _without_fresh_of(scopes: Sequence[Evidence], quiet: Collection[int]) -> Iterator[Evidence]:
+    """The scopes, where of the whole it is not asked whether matter came to objects of which the user went on without it."""
+    for scope in scopes:
+        if scope.object_id == WHOLE:
+            for part in scopes:
+                if part.object_id in quiet and part.object_id != WHOLE:
+                    scope = replace(
+                        scope,
+                        unseen_px=max(scope.unseen_px - part.unseen_px, 0),
+                        deep_px=max(scope.deep_px - part.deep_px, 0),
+                        barren_px=max(scope.barren_px - part.barren_px, 0),
+                        fresh=tuple(
+                            (max(new - its_new, 0), max(seen - its_seen, 0))
+                            for (new, seen), (its_new, its_seen) in zip(scope.fresh, part.fresh)
+                        ),
+                    )
+        yield scope
 
 
 def _in_both(first: Sequence[Evidence], second: Sequence[Evidence]) -> tuple[Evidence, ...]:

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 
 from .decide import Outcome
-from .evidence import WHOLE, WINDOWS, Findings, Sight, disc
+from .evidence import WHOLE, WINDOWS, Findings, Sight
+from .spots import disc
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
