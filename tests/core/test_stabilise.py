@@ -118,3 +118,62 @@ def test_a_knock_is_told_from_a_bed_that_the_machine_has_moved(camera):
 def test_a_picture_without_structure_claims_nothing(camera):
     plain = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
     assert stabiliser(camera, plain).turn(Glance(plain + np.uint8(3)), (0, 0, 0)) is STILL
+
+
+def plain_bed(rng: np.random.Generator) -> np.ndarray:
+    """A bed of one colour that fills all of the picture but a strip of bench at its upper edge."""
+    picture = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
+    picture[:90] = room(rng)[:90]
+    return picture
+
+
+def test_noise_on_a_plain_bed_has_no_say_in_whether_the_camera_was_knocked(camera):
+    rng = np.random.default_rng(11)
+    scene = plain_bed(rng)
+    watcher = stabiliser(camera, noisy(scene, rng))
+    for _ in range(3):
+        assert watcher.turn(Glance(noisy(scene, rng)), (0, 0, 0)) is STILL
+        assert watcher.sure
+    rvec = np.array([0.6, -0.7, 0.1]) * 14 / camera.K[0, 0]
+    found = watcher.turn(Glance(noisy(seen_by_turned(scene, camera, rvec), rng)), (0, 0, 0))
+    assert np.abs(found.rvec - rvec).max() * camera.K[0, 0] < 1.5
+
+
+def test_a_gantry_that_climbs_before_a_plain_bed_is_no_turn_of_the_camera(camera):
+    """Two bright rods of a gantry are all that moves and most of what has structure."""
+    rng = np.random.default_rng(12)
+    scene = plain_bed(rng)
+
+    def seen(height: int) -> np.ndarray:
+        frame = scene.copy()
+        for row in (height, height + 60):
+            cv2.line(frame, (0, row), (639, row + 20), (215, 225, 230), 9)
+        return noisy(frame, rng)
+
+    watcher = stabiliser(camera, seen(300))
+    assert all(watcher.turn(Glance(seen(300 - 6 * step)), (0, 0, 0)) is STILL for step in range(8))
+
+
+def test_a_view_in_which_nothing_is_where_it_was_is_lost_until_it_comes_back(camera):
+    rng = np.random.default_rng(14)
+    scene, elsewhere = room(rng), room(rng)
+    watcher = stabiliser(camera, scene)
+    assert watcher.turn(Glance(noisy(scene, rng)), (0, 0, 0)) is STILL
+    assert not watcher.lost
+    for _ in range(3):
+        watcher.turn(Glance(noisy(elsewhere, rng)), (0, 0, 0))
+        assert watcher.lost
+        assert not watcher.sure
+    assert watcher.turn(Glance(noisy(scene, rng)), (0, 0, 0)) is STILL
+    assert watcher.sure
+    assert not watcher.lost
+
+
+def test_a_plain_picture_is_neither_sure_nor_lost(camera):
+    rng = np.random.default_rng(15)
+    plain = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
+    watcher = stabiliser(camera, noisy(plain, rng))
+    for _ in range(4):
+        assert watcher.turn(Glance(noisy(plain, rng)), (0, 0, 0)) is STILL
+        assert not watcher.sure
+        assert not watcher.lost

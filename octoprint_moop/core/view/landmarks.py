@@ -16,50 +16,73 @@ from ..camera import Camera
 
 POINTS_PER_CELL = 12
 CELLS = (16, 12)
-MOST_CONTRAST = 3.0  # a lamp's reflection must not outweigh the rest
+REGIONS = (8, 6)  # of the picture, that are asked one by one whether the camera has moved
+MOST_CONTRAST = 3.0  # of the picture's: a lamp's reflection must not outweigh the rest
+SMOOTH_PX, BOX_PX = 1.0, 15
+TELLING = 8.0  # times as unlike beside its place as in it
+NEWEST = 0.2  # weight of the newest frame in what pixels have differed by
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The reference at one scale: n pixels with structure, and what is known of each."""
+    """The reference at one scale: n pixels with structure, and what is known of each.
+
+    apart, beside : (n,) float32, squared grey levels by which the pixel has differed from the reference while the camera
+    stood, in its place and a little way off; learned as frames come
+    """
 
     scale: int
     rays: np.ndarray  # (n, 3) unit directions, calibrated camera
     on_bed_mm: np.ndarray  # (n, 3) print coordinates, NaN for what is not on the bed
-    grey: np.ndarray  # (n,) float32
-    slope: np.ndarray  # (n,) float32, length of the grey value's gradient, per pixel of full size
+    height: np.ndarray  # (n,) float32, of the relief
+    slope: np.ndarray  # (n,) float32, length of the height's gradient, per pixel of full size
     normal: np.ndarray  # (n, 2) float32, its direction
+    region: np.ndarray  # (n,) int, which of REGIONS it lies in
+    apart: np.ndarray
+    beside: np.ndarray
+
+    @property
+    def telling(self) -> np.ndarray:
+        """(n,) bool: pixels that would differ if the camera had moved, by much more than they do while it stands.
+
+        The strongest pixel of a plain stretch of bed is noise, and one before which a gantry passes tells nothing of the camera.
+        """
+        return self.beside > TELLING * self.apart
+
+    def learn(self, apart: np.ndarray, beside: np.ndarray, inside: np.ndarray) -> None:
+        """What the pixels differ by in a frame of a camera that stands."""
+        for kept, now in ((self.apart, apart), (self.beside, beside)):
+            kept[inside] += np.float32(NEWEST) * (now - kept)[inside]
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Fine structure alone, at a set contrast, so that a dimmed lamp is not motion.
-
-    height   : (H, W) float32, grey values less their mean about each pixel
-    contrast : what to divide them by
-    """
+    """Fine structure alone: (H, W) float32, grey values less their mean about each pixel."""
 
     height: np.ndarray
-    contrast: float
 
     @classmethod
     def of(cls, grey: np.ndarray) -> Relief:
-        smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
-        height = cv2.subtract(smooth, cv2.boxFilter(smooth, cv2.CV_32F, (31, 31)), dtype=cv2.CV_32F)
-        return cls(height, float(cv2.meanStdDev(height)[1][0, 0]) or 1.0)
-
-    def all(self) -> np.ndarray:
-        return np.clip(self.height / self.contrast, -MOST_CONTRAST, MOST_CONTRAST)
+        smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX)
+        return cls(cv2.subtract(smooth, cv2.boxFilter(smooth, cv2.CV_32F, (BOX_PX, BOX_PX)), dtype=cv2.CV_32F))
 
     def at(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(..., n) float32 at (..., n, 2) float32 positions, and whether each is in the picture."""
         height, width = self.height.shape
         flat = pixels.reshape(-1, 2)
+        if len(flat) == 0:
+            return np.zeros(pixels.shape[:-1], np.float32), np.zeros(pixels.shape[:-1], bool)
         inside = (flat > 0).all(axis=1) & (flat[:, 0] < width - 1) & (flat[:, 1] < height - 1)
         seen = cv2.remap(self.height, flat[:, :1], flat[:, 1:], cv2.INTER_LINEAR).ravel()
-        seen *= np.float32(1 / self.contrast)
-        np.clip(seen, -MOST_CONTRAST, MOST_CONTRAST, out=seen)
         return seen.reshape(pixels.shape[:-1]), inside.reshape(pixels.shape[:-1])
+
+
+def noise(grey: np.ndarray) -> float:
+    """Grey levels of noise in a picture's relief, from what no smooth structure gives (Immerkaer 1996)."""
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    rough = cv2.filter2D(grey.astype(np.float32), cv2.CV_32F, kernel)[1:-1, 1:-1]
+    # the median holds where edges do not; white noise keeps 1 / (2 sqrt(pi) sigma) of itself in a Gaussian's mean
+    return float(np.median(np.abs(rough))) / 0.6745 / 6 / (2 * np.sqrt(np.pi) * SMOOTH_PX)
 
 
 class Aim:
@@ -129,3 +152,9 @@ def strongest_in_each_cell(strength: np.ndarray) -> tuple[np.ndarray, np.ndarray
     first_of_cell = np.searchsorted(cell[order], cell[order], side="left")
     chosen = order[np.arange(len(order)) - first_of_cell < POINTS_PER_CELL]
     return rows[chosen], columns[chosen]
+
+
+def region_of(rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(n,) int: in which of REGIONS pixels of a picture (height, width) lie."""
+    height, width = shape
+    return rows * REGIONS[1] // height * REGIONS[0] + columns * REGIONS[0] // width
