@@ -113,7 +113,8 @@ class Findings:
     wanted : expected now; look : (3, h, w) uint8, the frame aligned, as the memory keeps it; seen, known : observed, and
     what can be said anything of, aligned; standing : matter seen in earlier checks; lost, stray : see the module;
     unseen : fresh matter of the last layers that is not seen; hidden_px : so much of what stood there looks neither like
-    matter nor like the bare bed now; loose : matter that has grown from what the user went on with; moved_px : by how much the whole picture has just moved
+    matter nor like the bare bed now; loose : matter that has grown from what the user went on with; moved_px : by how
+    much the whole picture has just moved
     """
 
     window: Window
