@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
@@ -32,14 +33,30 @@ def pip(python, *arguments):
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Built from a copy, so that nothing is left in the checkout."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = copytree(
-        ROOT, folder / "source", ignore=ignore_patterns(".git", ".venv*", "build", "*.egg-info", ".*_cache")
+def source(tmp_path_factory):
+    """A copy to build from, so that nothing is left in the checkout."""
+    left_out = ignore_patterns(
+        ".git", ".venv*", "build", "dist", "*.egg-info", ".*_cache", "__pycache__", ".hypothesis", "test-results"
     )
-    pip(sys.executable, "wheel", "--no-deps", "--wheel-dir", folder, source)
-    return next(folder.glob("octoprint_moop-*.whl"))
+    return copytree(ROOT, tmp_path_factory.mktemp("packages") / "source", ignore=left_out)
+
+
+@pytest.fixture(scope="module")
+def wheel(source):
+    pip(sys.executable, "wheel", "--no-deps", "--wheel-dir", source.parent, source)
+    return next(source.parent.glob("octoprint_moop-*.whl"))
+
+
+def test_the_source_package_holds_all_that_a_checkout_holds(source):
+    pytest.importorskip("setuptools")
+    checkout = {str(path.relative_to(source)) for path in source.rglob("*") if path.is_file()}
+    command = [sys.executable, "setup.py", "-q", "sdist", "--dist-dir", "../sdist"]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with tarfile.open(next((source.parent / "sdist").glob("*.tar.gz"))) as packed:
+        found = {str(Path(*Path(name).parts[1:])) for name in packed.getnames()}
+    ours = {name for name in checkout if not name.startswith((".", "extras/"))}
+    assert ours <= found, sorted(ours - found)
 
 
 def test_the_wheel_holds_every_module_asset_and_template_and_nothing_else(wheel):
