@@ -1,4 +1,4 @@
-"""The figures of the rule of docs/decision.md, worked out by hand: limits, surprises, sums, what is learned, who is to blame."""
+"""The figures of the rule of docs/decision.md, worked out by hand: limits, surprises, sums, what is learned, and blame."""
 
 from __future__ import annotations
 
