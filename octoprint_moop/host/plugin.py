@@ -103,6 +103,8 @@ class MoopPlugin(
                 watch.job_expected(self._file_manager.path_on_disk("local", payload["path"]))
         elif event == Events.PRINT_STARTED:
             watch.job_started(self._job(payload))
+        elif event == Events.PRINT_PAUSED:
+            watch.job_paused()
         elif event == Events.PRINT_RESUMED:
             watch.job_resumed()
         elif event == Events.PRINT_DONE:
