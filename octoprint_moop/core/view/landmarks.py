@@ -45,7 +45,8 @@ class Level:
     def telling(self) -> np.ndarray:
         """(n,) bool: pixels that would differ if the camera had moved, by much more than they do while it stands.
 
-        The strongest pixel of a plain stretch of bed is noise, and one before which a gantry passes tells nothing of the camera.
+        The strongest pixel of a plain stretch of bed is noise, and one before which a gantry passes tells
+        nothing of the camera.
         """
         return self.beside > TELLING * self.apart
 
