@@ -71,3 +71,11 @@ def test_a_part_of_the_picture_is_levelled_as_the_whole_is(scene, print_mask):
     change = Light(scene, print_mask).change(uneven)
     part = change.undone(uneven[60:180, 80:240], (80 / 320, 60 / 240, 240 / 320, 180 / 240))
     assert np.abs(part.astype(int) - change.undone(uneven)[60:180, 80:240]).max() <= 2
+
+
+def test_a_hand_no_brighter_than_the_bench_is_not_taken_for_light_upon_it(scene, print_mask):
+    """Half of its difference from the bench would be gone if what is pink were light."""
+    frame = scene.copy()
+    frame[170:, 200:] = (90, 115, 165)
+    levelled = Light(scene, print_mask).change(frame).undone(frame)
+    assert error(levelled[180:, 210:], frame[180:, 210:]) < 0.2 * error(scene[180:, 210:], frame[180:, 210:])

@@ -15,6 +15,7 @@ import numpy as np
 WORK_WIDTH_PX = 40
 DARK, BRIGHT = 6.0, 245.0  # grey values outside of which a ratio says little
 NOTICEABLE = 0.04
+MOST_CHANGE, MOST_TINT = 0.7, 0.3  # logarithms, against the picture as a whole, that light may differ by in places
 MIN_BACKGROUND_RATIO = 0.05
 REACH_PX = 4.0  # how far, in pixels of the work picture, light is taken to be alike
 MOST_GAIN = 8.0
@@ -85,9 +86,9 @@ class Light:
             return UNCHANGED
         ratio = np.log(np.maximum(small, 1.0)) - self._log_reference
         overall = _medians(ratio[known])
-        # what moved in the background (a gantry, a hand) differs by far more than light does around it
+        # what moved in the background (a gantry, a hand) differs by far more than light does around it, or in colour
         rest = ratio - overall
-        steady = known & (_most(np.abs(rest)) < 0.7)
+        steady = known & (_most(np.abs(rest)) < MOST_CHANGE) & (_most(rest) - _least(rest) < MOST_TINT)
         local = self._smooth(rest, steady)
         uneven = float(np.abs(local).max()) > NOTICEABLE
         brightness_ratio = float(np.exp(overall.mean()))
