@@ -248,8 +248,9 @@ class Inspector:
         tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step
         laid_px = view.laid_px(moment, self._good_laid.get(moment.camera, 0)) / window.step**2
         sight = Sight(
-            steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer, laid_px
-        )
+            steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer, laid_px,
+            steady.sure,
+        )  # fmt: skip
         findings = find(sight, memory)
         hidden_now = findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px)
         hidden_before = self._hidden_checks.get(moment.camera, 0)
@@ -278,7 +279,8 @@ class Inspector:
 
         would_tell = expected.mask & ~(expected.head & ~free)
         little = HEAD_HIDES if _little_of(would_tell, expected.mask) else ""
-        self.look, ruling = self._courses.rule(Look(comparison, scopes=findings.scopes, little=little), moment, name)
+        look = Look(comparison, scopes=findings.scopes, little=little, turned=steady.turned)
+        self.look, ruling = self._courses.rule(look, moment, name)
         assert ruling is not None
         if ruling.teaches:
             self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)

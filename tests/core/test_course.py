@@ -148,6 +148,8 @@ def test_matter_of_an_object_with_whose_failure_the_user_went_on_is_not_missed_f
 def test_a_look_survives_json():
     one = Look(look(2.0, objects=2).comparison, "", "", look(2.0, objects=2).scopes, {0: Diagnosis("warping", "Up.")})
     assert Look.from_json(json.loads(json.dumps(one.to_json()))) == one
+    turned = replace(look(9.0), turned=True)
+    assert Look.from_json(json.loads(json.dumps(turned.to_json()))) == turned
     blind = Look(blind="unusable", reason="black", little="The head.")
     assert Look.from_json(json.loads(json.dumps(blind.to_json()))) == blind
 
@@ -170,3 +172,10 @@ def test_right_after_nothing_could_be_seen_one_look_is_not_enough_but_two_are(bl
 def test_a_failure_between_two_obstacles_is_a_failure_and_one_between_two_knocks_may_be_the_camera():
     assert after("unusable", look(9.0), Look(blind="unusable"), look(9.0)) == [SUSPECT, FAILED]
     assert after("camera_moved", look(9.0), Look(blind="camera_moved"), look(9.0)) == [SUSPECT, SUSPECT]
+
+
+def test_the_frame_in_which_the_camera_is_first_found_elsewhere_raises_no_alarm_by_itself():
+    courses, moment = Courses("medium"), Moment("", 0, 0, (0.0, 0.0, 0.0))
+    turned = replace(look(9.0), turned=True)
+    rulings = [courses.rule(one, moment)[1] for one in (*[look()] * 8, turned, look(9.0))]
+    assert [ruling.worst.verdict for ruling in rulings[-2:] if ruling] == [SUSPECT, FAILED]

@@ -67,6 +67,17 @@ def test_on_a_bed_too_plain_to_tell_two_walls_that_moved_alike_are_the_camera():
     assert found.moved_px == pytest.approx(5, abs=0.3)
 
 
+@pytest.mark.parametrize("sure", [True, False])
+def test_on_such_a_bed_a_single_wall_that_moved_is_the_camera_only_where_nothing_tells_where_that_stands(sure):
+    stage = Stage()
+    stage._birth[:, 160:] = 0  # the other wall is never to be
+    for layer in range(13):
+        stage.good(layer, wall(0, layer))
+    found = find(replace(stage.sight(13, moved(wall(0, 13), 5, 0)), sure=sure), stage.memory)
+    assert found.moved_px == pytest.approx(0 if sure else 5, abs=0.3)
+    assert (found.whole.lost_px > 100) is sure
+
+
 def test_layers_that_are_shifted_are_not_a_camera_that_moved():
     stage = Stage().printed(12)
     found = stage.look(18, walls(12) | moved(wall(0, 18, 13) | wall(1, 18, 13), 6, 0))

@@ -45,6 +45,7 @@ class Look:
     scopes : the evidence of the whole (first) and of each object; empty where blind
     names  : what the failure would be called, by object, for each scope that may be asked
     little : why nothing wrong would mean nothing, where so little is seen that a failure need not show; "" where it would
+    turned : the camera was just found to stand elsewhere than in the frame before: no failure follows from this one alone
     """
 
     comparison: Comparison | None = None
@@ -53,6 +54,7 @@ class Look:
     scopes: tuple[Evidence, ...] = ()
     names: Mapping[int, Diagnosis] = field(default_factory=dict)
     little: str = ""
+    turned: bool = False
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -62,6 +64,7 @@ class Look:
             "scopes": [asdict(scope) for scope in self.scopes],
             "names": [[number, name.mode, name.sentence] for number, name in self.names.items()],
             "little": self.little,
+            "turned": self.turned,
         }
 
     @classmethod
@@ -77,6 +80,7 @@ class Look:
             ),
             {int(number): Diagnosis(mode, sentence) for number, mode, sentence in data["names"]},
             str(data["little"]),
+            bool(data["turned"]),
         )
 
 
@@ -217,6 +221,8 @@ class Courses:
                 course.blind(look.blind)
             ruling = course.unconfirmed() if again else None
             return (look, None) if ruling is None else (before, ruling)
+        if look.turned and not again:
+            course.blind(CAMERA_MOVED)
         ruling = course.rule(look, again)
         if name is not None:
             look = replace(look, names=name(ruling))

@@ -57,6 +57,7 @@ class Sight:
     layer     : the last layer of which something lies
     finer     : a length in a picture 640 pixels across is so many times longer in this one
     laid_px   : so many pixels would be covered by what was laid since all was last well, spread out line beside line
+    sure      : the view as a whole has told where the camera stands
     """
 
     frame_bgr: np.ndarray
@@ -68,6 +69,7 @@ class Sight:
     tolerance_px: float
     finer: float = 1.0
     laid_px: float = math.inf
+    sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -156,8 +158,8 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     """What differs once the whole picture is taken to have moved; None where that is not what has happened.
 
     A print that slid on the bed leaves the bed where it was. Where the bed is too plain to tell, several pieces do not
-    slide alike; and one that moved by hardly more than the tolerance is given the benefit of the doubt: what is laid
-    next shows whether it was the print.
+    slide alike; and one that moved by hardly more than the tolerance, or in a view of which nothing tells where the camera
+    stands, is given the benefit of the doubt: what is laid next shows whether it was the print.
     """
     window, before = findings.window, memory.alignment
     finer = sight.finer
@@ -177,7 +179,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
         off_print = cv2.dilate(sight.expected.complete[window], disc(BED_BEGINS_PX * finer)) == 0
         off_print = off_print & findings.known & explained.known
         bed_moved = memory.bed_moved(window, findings.look, explained.look, off_print)
-        unsure = moved_px < UNSURE_PX * finer or _pieces(findings.wanted) > 1
+        unsure = moved_px < UNSURE_PX * finer or _pieces(findings.wanted) > 1 or not sight.sure
         if bed_moved or (bed_moved is None and unsure):
             return replace(explained, moved_px=moved_px)
     memory.alignment = before

@@ -35,7 +35,10 @@ GLANCE_EVERY = 3  # of the pixels, to tell that nothing has moved
 NOTICEABLE_PX = 0.4  # at 640 pixels across
 LEAST_POINTS = 60  # that tell; with fewer nothing is said of the camera
 BESIDE_PX = 2.0  # px of the level: how far off a pixel must look otherwise
-LEAST_NOISE, LEAST_APART_RATIO = 0.5, 0.04  # grey levels, and of what a pixel looks like beside: until frames have shown it
+LEAST_NOISE, LEAST_APART_RATIO = (
+    0.5,
+    0.04,
+)  # grey levels, and of what a pixel looks like beside: until frames have shown it
 MOST_LOSS = 9.0  # of a pixel, in variances
 WELL, LESS_WELL, BADLY = 1.3, 1.5, 3.0  # mean loss: as expected; times the usual; never that of a camera that stands
 FITS, LOST_RATIO = 2.5, 0.25  # mean loss of a region; of the regions, so few fit if the camera is nowhere near
@@ -45,7 +48,10 @@ FINEST_EDGE_PX = 0.25  # px of the level: no pixel tells its place better
 LEAST_CONTRAST = 0.2
 LEARN_AT_FIRST, LEARN_EVERY = 6, 8  # frames
 REACH_PX = 40.0  # at 640 pixels across: a turn by more calls for much evidence
-CORRELATED, UNCERTAIN_PX = 6.0, 0.4  # neighbours err alike: so many count as one; the turn's standard deviation, at most
+CORRELATED, UNCERTAIN_PX = (
+    6.0,
+    0.4,
+)  # neighbours err alike: so many count as one; the turn's standard deviation, at most
 WARP_GRID = 16  # the warp is smooth: it is computed on a coarse grid and interpolated
 
 
@@ -87,9 +93,7 @@ class Stabiliser:
         self._px = glance.finer if reference_bgr.shape[1] >= 640 else reference_bgr.shape[1] / 640
         pyramid = _Pyramid(glance)
         self._contrast = 1.0
-        self._levels = [
-            self._level(pyramid, number, background, shift_mm, bed_mm) for number in range(len(SCALES))
-        ]
+        self._levels = [self._level(pyramid, number, background, shift_mm, bed_mm) for number in range(len(SCALES))]
         self._aim = Aim(camera, self._levels, shift_mm)
         grid_px = self._grid_px()
         self._grid_rays, self._grid = camera.rays(grid_px), grid_px
@@ -243,9 +247,7 @@ class Stabiliser:
 
     def _turned_by(self, right_px: float, down_px: float) -> np.ndarray:
         """(3,) the rotation vector that moves the picture's middle by so much, pixels at 640 across."""
-        return np.array(
-            [-down_px * self._px / self._camera.K[1, 1], right_px * self._px / self._camera.K[0, 0], 0.0]
-        )
+        return np.array([-down_px * self._px / self._camera.K[1, 1], right_px * self._px / self._camera.K[0, 0], 0.0])
 
     def undo(
         self, picture_bgr: np.ndarray, turn: CameraTurn, part: Part | None = None
@@ -320,9 +322,7 @@ class Stabiliser:
             which = np.flatnonzero(level.telling)
             if len(which):
                 residual, inside = self._seen(number, pyramid[number], rvec, which)
-                losses.append(
-                    np.where(inside, np.minimum(residual**2 / level.apart[which], MOST_LOSS), MOST_LOSS / 2)
-                )
+                losses.append(np.where(inside, np.minimum(residual**2 / level.apart[which], MOST_LOSS), MOST_LOSS / 2))
         return np.concatenate(losses)
 
     def _by_region(self, losses: np.ndarray) -> np.ndarray:

@@ -29,6 +29,11 @@ from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
+SETTLED_PX = 1.0  # the same: a frame whose turn differs by more from the last one's is the first to say so
+LOST = (
+    "Nothing in the picture is where it was: the camera was moved far, or something stands before it. "
+    "The view is looked for again; if this stays, calibrate the camera anew."
+)
 MOST_HIDDEN_RATIO = 0.005  # of the print's surroundings, by the head in the picture of the empty bed
 
 
@@ -42,6 +47,8 @@ class SteadyFrame:
     expected : what must be seen in the window; whole : in the whole picture, in its own size
     small    : `Glance.quarter` of the whole, steady and in the reference's light
     moved    : the sentence for the user where the camera has just been moved, else ""
+    turned   : the camera stands a little elsewhere than in the frame before, and no second frame has borne that out yet
+    sure     : the frame has told where the camera stands
     """
 
     window: Window
@@ -51,6 +58,8 @@ class SteadyFrame:
     whole: Expected
     small: np.ndarray
     moved: str
+    turned: bool
+    sure: bool
     _whole_bgr: np.ndarray
     _stabiliser: Stabiliser
     _turn: CameraTurn
@@ -222,7 +231,8 @@ class View:
         backdrop = self._backdrop_at(whole_bgr, moment, expected)
         stabiliser = backdrop.stabiliser
         turn = stabiliser.turn(glance, moment.position_mm, self._turn)
-        moved = self._notice(turn, stabiliser)
+        turned = stabiliser.apart_px(turn, self._turn) > SETTLED_PX * self._camera.image_size_px[0] / 640
+        moved = LOST if stabiliser.lost else self._notice(turn, stabiliser)
         if not moved and self._find_markers(whole_bgr, turn, stabiliser, moment):
             expected = self.expected(moment)
             window = self._window_at(expected)
@@ -234,7 +244,7 @@ class View:
         light = backdrop.light.change(small)
         return SteadyFrame(
             window, light.undone(part, window.box), outside, window.expected(expected), expected, light.undone(small),
-            moved, whole_bgr, stabiliser, turn, light,
+            moved, turned, stabiliser.sure, whole_bgr, stabiliser, turn, light,
         )  # fmt: skip
 
     def observe(self, steady: SteadyFrame) -> Observation:
