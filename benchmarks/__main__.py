@@ -39,6 +39,7 @@ BENCHMARKS = {
     "slicers": Benchmark("layers and filament against the slicers' own words", "none", (_script("slicers", "--write"),)),
     "render": Benchmark("drawing the expected mask", "none", (
         _script("render", "--write", "--plot", "docs/images/render-cost.svg"),)),
+    "truth": Benchmark("the expected mask against true masks", "rendered", (_script("truth", "--write", *CASES),)),
     "roads": Benchmark("the mesh against the G-code", "rendered", (_script("roads", "--write", *CASES),)),
     "check": Benchmark("what a whole check costs", "rendered", (_script("check", "--cases", f"{SHARED}/cases", "--write"),)),
     "eye_memory": Benchmark("memory with a large job", "none", (_script("eye_memory", "--write"),)),

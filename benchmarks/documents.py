@@ -30,6 +30,7 @@ from . import (
     selfcheck,
     slicers,
     traced_score,
+    truth,
 )
 from .tables import RESULTS, ROOT, put
 
@@ -67,6 +68,7 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
     "rendering.md": {
         "slicers": lambda: slicers.as_table(figures("slicers")["files"]),
         "gcode": lambda: gcode.as_tables(figures("gcode")),
+        "truth": lambda: truth.as_table(figures("truth")),
         "roads": lambda: roads.as_table(figures("roads")),
         "render": lambda: render.as_table(figures("render")),
         "render-at-a-position": lambda: render.at_a_position_told(figures("render")),
