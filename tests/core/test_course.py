@@ -58,7 +58,8 @@ def test_what_both_frames_show_is_a_failure_sooner_than_what_one_shows():
 def test_only_as_much_as_both_frames_show_counts():
     course = course_after_good()
     course.rule(look(9.0))
-    assert course.rule(look(1.2), again=True).worst.leading.size == pytest.approx(1.2, abs=0.02)
+    worst = course.rule(look(1.2), again=True).worst
+    assert worst.leading.size == pytest.approx(1.2, abs=0.02) and worst.verdict == SUSPECT
 
 
 def test_a_weak_suspicion_looked_at_twice_counts_once():

@@ -107,7 +107,9 @@ def test_barren_matter_is_let_pass_by_a_third_until_four_checks_have_told_what_i
     assert size("fresh", **seen) == pytest.approx((0.04 - prior) / 0.004)
     assert size("fresh", track_of(barren=(0.001,) * 3), **seen) == pytest.approx((0.04 - prior) / 0.004)
     assert size("fresh", track_of(barren=(0.02,) * 3), **seen) == pytest.approx((0.04 - 0.02) / 0.004)
-    assert size("fresh", track_of(barren=0.001), **seen) == pytest.approx((0.04 - 0.001) / 0.004)
+    for checks in (4, 6):
+        known = track_of(barren=(0.001,) * checks)
+        assert size("fresh", known, **seen) == pytest.approx((0.04 - 0.001) / 0.004)
 
 
 def fresh(share: float, past: tuple[float, ...], sensitivity: str = "medium", new_px: int = 1000) -> float:
@@ -158,6 +160,7 @@ def test_while_the_user_has_just_gone_on_missing_matter_is_not_asked_after():
         (0.5, 6.0, SUSPECT, 5.9),
         (1, 0.0, SUSPECT, 0.4),
         (0.875, 0.75, SUSPECT, 1.025),
+        (0.75, 0.85, SUSPECT, 1.0),
         (0.75, 0.75, OK, 0.9),
         (0, 0.25, OK, 0.0),
     ],
@@ -167,6 +170,12 @@ def test_surprises_add_up_less_a_slack_to_a_verdict(limits, before, verdict, aft
     outcome, later = judge(track, replace(PLAIN, stray_px=round(80 * limits)), "medium")
     assert outcome.cusum == later.cusum == pytest.approx(after)
     assert outcome.verdict == verdict
+
+
+def test_what_was_seen_twice_is_decisive_sooner():
+    twice = replace(PLAIN, stray_px=160)
+    assert judge(track_of(lost=0.0), twice, "medium", decisive=2.0)[0].verdict == FAILED
+    assert judge(track_of(lost=0.0), twice, "medium")[0].verdict == SUSPECT
 
 
 # --- what is learned --------------------------------------------------------------------------------------------------
