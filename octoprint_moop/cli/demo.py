@@ -20,7 +20,9 @@ FAULTS = ("none", "detachment", "extrusion_stop", "layer_shift", "spaghetti", "w
 
 @click.command()
 @click.option("--fault", type=click.Choice(FAULTS), default="detachment", show_default=True, help="What goes wrong.")
-@click.option("--fault-layer", type=int, help="In which layer (0-based); each kind has its own if left out.")
+@click.option(
+    "--fault-layer", type=int, help="In which layer (counted from 0, as in JSON); each kind has its own if left out."
+)
 @click.option("--once", is_flag=True, help="Exit when the print has ended or paused.")
 @click.option("--json", "as_json", is_flag=True, help="With --once: one JSON line on standard output.")
 @click.option("--port", default=0, help="Port of the server on loopback; a free one if left out.")
@@ -45,7 +47,8 @@ def demo(
             with Demo(folder, fault, fault_layer, port, seed) as running:
                 server = running.server
                 say(f"Open {server.url}/#tab_plugin_moop  user: {server.user}  password: {server.password}")
-                what = "Nothing will go wrong." if fault == "none" else f"{fault} in layer {running.fault_layer}."
+                begins = running.fault_layer
+                what = "Nothing will go wrong." if begins is None else f"{fault} in layer {begins + 1}."
                 if not once:
                     say(f"To let more go wrong: curl -X POST {running.webcam.address}/fault/spaghetti (or another)")
                 say(f"Printing {running.job.name}, {running.toolpath.layers} layers. {what}")
@@ -64,12 +67,12 @@ def demo(
 def _line(status: dict[str, Any]) -> str:
     check = status["last_check"]
     error = "" if check["E"] is None else f"  E {check['E']:.4f}"
-    return f"layer {check['layer']:3d}{error}  {check['verdict']}  {check['reason']}".rstrip()
+    return f"layer {check['layer'] + 1:3d}{error}  {check['verdict']}  {check['reason']}".rstrip()
 
 
 def _end(outcome: dict[str, Any]) -> str:
     if outcome["paused"]:
-        return f"The print paused at layer {outcome['layer']} after {outcome['seconds']:.0f} s: {outcome['reason']}"
+        return f"The print paused at layer {outcome['layer'] + 1} after {outcome['seconds']:.0f} s: {outcome['reason']}"
     return f"The print ended ({outcome['state']}) after {outcome['seconds']:.0f} s, {outcome['checks']} checks."
 
 

@@ -90,10 +90,10 @@ def _settings(changes: tuple[str, ...]) -> Settings:
 
 def _sentence(check: Check) -> str:
     error = "  –   " if check.comparison is None else f"{check.comparison.error_ratio:6.4f}"
-    return f"layer {check.moment.layer:4d}  E {error}  {check.verdict:12s} {check.reason}".rstrip()
+    return f"layer {check.moment.layer + 1:4d}  E {error}  {check.verdict:12s} {check.reason}".rstrip()
 
 
 def _summary_sentence(summary: Summary) -> str:
     if summary.first_failed_layer is None:
         return f"{summary.checks} checks, no failure seen."
-    return f"{summary.checks} checks. Failed at layer {summary.first_failed_layer}: {summary.mode}."
+    return f"{summary.checks} checks. Failed at layer {summary.first_failed_layer + 1}: {summary.mode}."

@@ -71,7 +71,7 @@ class Report:
             f"A check takes {summary.ms_p50:g} ms, one in twenty more than {summary.ms_p95:g} ms.</p>"
             f"<h2>Where the verdict changed</h2><p>{key}</p>{shown or '<p>None could be compared.</p>'}"
             f"<h2>All checks</h2><table><tr><th>layer<th>E<th>verdict<th>why</tr>{rows}</table>"
-            f"<p>Layers are counted from 0, as in the recording.</p></html>\n",
+            f"<p>Layers are counted from 1, as in slicers' previews; the recording's files count from 0.</p></html>\n",
             encoding="utf-8",
         )
 
@@ -80,18 +80,18 @@ class Report:
 
     def _pictures(self, number: int) -> str:
         check = self.checks[number]
-        captions = ("seen", "expected", "difference")
+        captions, layer = ("seen", "expected", "difference"), check.moment.layer + 1
         figures = "".join(
-            f'<figure><img src="{uri}" alt="{caption}, layer {check.moment.layer}"><figcaption>{caption}</figcaption></figure>'
+            f'<figure><img src="{uri}" alt="{caption}, layer {layer}"><figcaption>{caption}</figcaption></figure>'
             for uri, caption in zip(self.figures[number], captions)
         )
-        return f"<h3>Layer {check.moment.layer}: {escape(check.verdict)}</h3><p>{escape(check.reason)}</p>{figures}"
+        return f"<h3>Layer {layer}: {escape(check.verdict)}</h3><p>{escape(check.reason)}</p>{figures}"
 
 
 def _row(check: Check) -> str:
     error = "–" if check.comparison is None else f"{check.comparison.error_ratio:.4f}"
     return (
-        f'<tr class="{escape(check.verdict)}"><td>{check.moment.layer}<td>{error}<td>{escape(check.verdict)}'
+        f'<tr class="{escape(check.verdict)}"><td>{check.moment.layer + 1}<td>{error}<td>{escape(check.verdict)}'
         f"<td>{escape(check.reason)}</tr>"
     )
 
@@ -128,8 +128,8 @@ def _plot(checks: list[Check]) -> str:
     )
     return (
         f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="E by layer">{ticks}'
-        f'<text x="{left}" y="{height - 4}" font-size="12">layer 0</text>'
-        f'<text x="{width - 10}" y="{height - 4}" text-anchor="end" font-size="12">layer {last}</text>'
+        f'<text x="{left}" y="{height - 4}" font-size="12">layer 1</text>'
+        f'<text x="{width - 10}" y="{height - 4}" text-anchor="end" font-size="12">layer {last + 1}</text>'
         f'<polyline points="{limit}" fill="none" stroke="#777" stroke-dasharray="5 4"/>'
         f'<polyline points="{line}" fill="none" stroke="#06c" stroke-width="2"/>{rings}</svg>'
     )

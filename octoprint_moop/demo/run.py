@@ -198,7 +198,7 @@ class Demo:
             return "All is well with the print again."
         layer = self.scene.layer_at(notebook.read(self._notebook)[0]) + 1
         self.scene.faults += (Fault(kind, layer, object_index),)
-        return f"{kind} from layer {layer} on."
+        return f"{kind} from layer {layer + 1} on."
 
     def _post(self, path: str) -> str | None:
         kind = path.rpartition("/")[2]

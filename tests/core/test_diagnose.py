@@ -60,7 +60,7 @@ def test_a_wall_of_which_nothing_is_left_is_gone():
 def test_layers_that_never_came_are_an_extrusion_failure_since_the_first_of_them():
     found = named(25, walls(21), good_upto=21)
     assert found.mode == "extrusion_failure"
-    assert found.sentence == "No new material since layer 22."
+    assert found.sentence == "No new material since layer 23."  # counted from 1
 
 
 def test_a_foot_laid_bare_is_a_corner_that_has_lifted():

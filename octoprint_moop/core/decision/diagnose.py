@@ -3,7 +3,7 @@
 What differs, cleaned of noise, is lost, stray and unseen matter. Old matter moves only where the print comes off or
 warps; a shift of the axes moves all that came later and leaves the old alone; a clog only leaves out. So the kinds are
 told apart by how much of the difference vanishes once the print is taken to have moved, or to have moved above a
-layer, by the distance that explains most.
+layer, by the distance that explains most. The sentences are for people, so they count layers from 1.
 """
 
 from __future__ import annotations
@@ -72,15 +72,15 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
         return _old_moved(scope, place)
     shift = scope.shift_above(lambda layer: place.covered(outcome.object_id, layer)[findings.window] > 0)
     if shift:
-        how_far = _distance(place, shift, place.layer_z_mm(shift.layer))
+        how_far = _distance(place, shift, place.layer_z_mm(shift.layer))  # `shift.layer` is the first that is shifted
         return Diagnosis(LAYER_SHIFT, f"Everything above layer {shift.layer} is shifted by about {how_far}.")
     if scope.lost_px >= OLD_MOVED_RATIO * scope.wrong_px:
         return _old_moved(scope, place)
     if scope.stray_px < COUNTERPART_RATIO * scope.unseen_px:
         since = scope.first_unseen_layer()
         if scope.unseen_ratio(since) > 0.8:
-            return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since}.")
-        return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since}.")
+            return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since + 1}.")
+        return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since + 1}.")
     if scope.stray_px:
         area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(sight.layer) / 2, findings)
         return Diagnosis(STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it.")
