@@ -146,6 +146,13 @@ def test_matter_of_an_object_with_whose_failure_the_user_went_on_is_not_missed_f
     assert {course.rule(with_dead(0.0, 100 + 30 * n)).worst.verdict for n in range(30)} == {OK}
 
 
+def test_matter_beside_a_print_that_is_hardly_seen_is_suspect_at_most():
+    """A camera that is set up a little wrong shows as much, and there is nothing to tell it by."""
+    course = course_after_good()
+    assert {verdict(course, replace(look(9.0), little="The head.")) for _ in range(5)} == {SUSPECT}
+    assert verdict(course, look(9.0)) == FAILED
+
+
 def test_a_look_survives_json():
     one = Look(look(2.0, objects=2).comparison, "", "", look(2.0, objects=2).scopes, {0: Diagnosis("warping", "Up.")})
     assert Look.from_json(json.loads(json.dumps(one.to_json()))) == one

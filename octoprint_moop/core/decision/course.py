@@ -145,6 +145,10 @@ class Course:
             outcomes.append(outcome)
             alarmed |= not good
         outcomes = blame(outcomes)
+        if look.little:  # the print itself is too little seen to tell where it stands in the picture
+            outcomes = [
+                one if max(one.size("lost"), one.size("fresh")) >= 1 else _only_suspect(one) for one in outcomes
+            ]
         if self._shaken:
             outcomes = [_only_suspect(outcome) for outcome in outcomes]
         self._shaken = False
