@@ -19,7 +19,9 @@ the camera was moved and not the print.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -202,13 +204,30 @@ def _aligned(sight: Sight, alignment: align.Alignment, window: Window) -> tuple[
     if alignment.most_px < ALIGNED_PX:
         return planes(sight.frame_bgr[window]), sight.observed[window], sight.ignored[window]
     rows, columns = window
+    # all that is looked at, and a rim for what is displaced into it; OpenCV is quickest with four channels at once
+    rim = int(alignment.most_px) + 2
+    top, left = max(rows.start - rim, 0), max(columns.start - rim, 0)
+    near = slice(top, rows.stop + rim), slice(left, columns.stop + rim)
+    maps = _maps(alignment, columns.start, rows.start, columns.stop, rows.stop, left, top)
+    mixed = np.empty((*sight.observed[near].shape, 4), np.uint8)
+    cv2.mixChannels([sight.frame_bgr[near], sight.observed[near]], [mixed], [0, 0, 1, 1, 2, 2, 3, 3])
+    mixed = cv2.remap(mixed, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     size = (columns.stop - columns.start, rows.stop - rows.start)
-    matrix = alignment.inverse_map(columns.start, rows.start)
-    smooth, plain = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    frame = cv2.warpAffine(sight.frame_bgr, matrix, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
-    observed = cv2.warpAffine(sight.observed, matrix, size, flags=smooth)
+    matrix, plain = alignment.inverse_map(columns.start, rows.start), cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     ignored = cv2.warpAffine(sight.ignored, matrix, size, flags=plain, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
-    return planes(frame), cv2.threshold(observed, 127, 255, cv2.THRESH_BINARY)[1], ignored
+    observed = cv2.threshold(cv2.extractChannel(mixed, 3), 127, 255, cv2.THRESH_BINARY)[1]
+    return planes(mixed), observed, ignored
+
+
+@lru_cache(maxsize=4)
+def _maps(
+    alignment: align.Alignment, x0: int, y0: int, x1: int, y1: int, left: int, top: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """For cv2.remap: where a crop of the picture that begins at (left, top) shows what is expected in the window."""
+    matrix = alignment.inverse_map(x0, y0)
+    x, y = np.arange(x1 - x0)[None, :], np.arange(y1 - y0)[:, None]
+    map_x, map_y = (row[0] * x + row[1] * y + row[2] - off for row, off in zip(matrix, (left, top)))
+    return cv2.convertMaps(map_x.astype(np.float32), map_y.astype(np.float32), cv2.CV_16SC2)
 
 
 def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
@@ -234,7 +253,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     unchanged = memory.looks_unchanged(window, look, recent & observed)
     # what the first layer covers has told by its second successor whether it came
     inside = cv2.erode(wanted_u8, edge) > 0
-    deep = recent & inside & ((layer_of > 0) | (sight.layer <= FIRST_LAYERS))
+    deep = (recent if sight.layer <= FIRST_LAYERS else later) & inside
     barren = unchanged | memory.looks_bare(window, look, deep & ~near_observed & ~memory.ever_seen(window))
     barren &= deep
     # contours that are known to be off by more than a pixel hide a layer's height
@@ -243,8 +262,8 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered)
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
     # dark filament and its own shadow look alike
-    shade = SHADE_PX * sight.finer
-    stray &= ~(memory.looks_shaded(window, look, stray) & within(wanted_u8, shade))
+    if stray.any():
+        stray &= ~(memory.looks_shaded(window, look, stray) & within(wanted_u8, SHADE_PX * sight.finer))
     rim &= ~memory.looks_shaded(window, look, rim)
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
@@ -282,17 +301,20 @@ def _could_be_matter(
     Whether filament of the bed's own shade has come or is gone cannot be seen: a side wall that comes into view as a
     print grows may look just like it. Looks are counted in steps of 16 grey levels, with the neighbouring steps.
     """
-    few, lies = about(where), about(matter)
-    if not where.any() or np.count_nonzero(matter) < SEEN_RATIO * np.count_nonzero(wanted):
+    matter_px = np.count_nonzero(matter)
+    if not where.any() or matter_px < SEEN_RATIO * np.count_nonzero(wanted):
         return np.zeros_like(where)  # next to nothing is seen, and what there is may be the bed
-    blue, green, red = (plane[lies][matter[lies]] >> 4 for plane in look)
-    counts = np.bincount((blue.astype(np.intp) * 16 + green) * 16 + red, minlength=4096).astype(np.float32)
-    padded = np.pad(counts.reshape(16, 16, 16), 1)
-    near = np.zeros((16, 16, 16), np.float32)
-    for i, j, k in np.ndindex(3, 3, 3):
-        near += padded[i : i + 16, j : j + 16, k : k + 16]
-    blue, green, red = (plane[few] >> 4 for plane in bare)
-    return placed(where, few, near[blue, green, red] > ALIKE_RATIO * np.count_nonzero(matter))
+    near = cv2.calcHist([*look], [0, 1, 2], matter.view(np.uint8), [16, 16, 16], [0, 256, 0, 256, 0, 256])
+    for axis in range(3):
+        alone = np.moveaxis(near, axis, 0)
+        near = alone.copy()
+        near[1:] += alone[:-1]
+        near[:-1] += alone[1:]
+        near = np.moveaxis(near, 0, axis)
+    blue, green, red = (plane[where] >> 4 for plane in bare)
+    alike = np.zeros_like(where)
+    alike[where] = near[blue, green, red] > ALIKE_RATIO * matter_px
+    return alike
 
 
 def _hidden_px(
@@ -321,66 +343,72 @@ def _count(
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
     complete = sight.expected.complete[window] > 0
-    extra = observed & ~wanted & known
+    unsaid, extra = wanted & ~observed & known, observed & ~wanted & known
+    edge = wanted & (cv2.erode(wanted.view(np.uint8), np.ones((3, 3), np.uint8)) == 0)
     own = _Counter(print_map.owner[window], len(scopes), complete)
     near = _Counter(print_map.nearest[window], len(scopes), extra | stray | rim)
     figures = {
-        "expected_px": own(wanted & known),
-        "total_px": own(complete & known),
-        "dim_px": own(inside & known & ~observed),
-        "standing_px": own(standing),
-        "lost_px": own(lost),
-        "stray_px": near(stray),
-        "edge_px": own(wanted & (cv2.erode(wanted.view(np.uint8), np.ones((3, 3), np.uint8)) == 0)),
-        "rim_px": near(rim),
-        "unseen_px": own(unseen),
-        "deep_px": own(deep),
-        "barren_px": own(barren),
-        "xor_px": own(wanted & ~observed & known) + near(extra),
-    }
-    age = sight.layer - print_map.layer[window]
-    fresh = list(zip(own.younger(later, age), own.younger(later & ~unseen, age)))
+        **own(
+            expected_px=wanted & known, total_px=complete & known, dim_px=inside & unsaid, standing_px=standing,
+            lost_px=lost, edge_px=edge, unseen_px=unseen, deep_px=deep, barren_px=barren, xor_px=unsaid,
+        ),
+        **near(stray_px=stray, rim_px=rim, extra_px=extra),
+    }  # fmt: skip
+    figures["xor_px"] += figures.pop("extra_px")
+    fresh = own.younger(later, ~unseen, sight.layer - print_map.layer[window])
     return tuple(
-        Evidence(
-            scope,
-            **{name: int(counts[n]) for name, counts in figures.items()},
-            fresh=tuple((int(new[n]), int(seen[n])) for new, seen in fresh),
-        )
+        Evidence(scope, **{name: int(counts[n]) for name, counts in figures.items()}, fresh=fresh[n])
         for n, scope in enumerate(scopes)
     )
 
 
 class _Counter:
-    """Counts a mask's pixels for the whole print and, by whose pixels they are, for each object: (scopes,) int64."""
+    """Counts pixels of masks for the whole print and, by whose pixels they are, for each object: (scopes,) int64."""
 
     def __init__(self, owner: np.ndarray, scopes: int, within: np.ndarray) -> None:
-        """within : bool; no mask reaches beyond its pixels' rows and columns"""
+        """within : bool; no mask reaches beyond"""
         self._few, self._scopes = about(within), scopes
-        owner = owner[self._few] + 1  # 0 for nobody's
-        self._owner = owner.astype(np.uint16) if scopes > 1 else np.zeros(owner.shape, np.uint16)
+        self._within = within[self._few].view(np.uint8)
+        self._kind = np.uint8 if scopes <= 256 else np.uint16
+        self._owner = (owner[self._few] + 1).astype(self._kind) if scopes > 1 else None  # 0 for nobody's
 
-    def __call__(self, mask: np.ndarray) -> np.ndarray:
-        mask = mask[self._few]
-        counts = np.zeros(self._scopes, np.int64)
-        counts[0] = np.count_nonzero(mask)
-        if self._scopes > 1 and counts[0]:
-            by_owner = cv2.calcHist([self._owner], [0], mask.view(np.uint8), [self._scopes], [0, self._scopes])
-            counts[1:] = by_owner.ravel()[1:]
-        return counts
-
-    def younger(self, mask: np.ndarray, age: np.ndarray) -> list[np.ndarray]:
-        """The same for each of WINDOWS, of the mask's pixels whose age in layers is less; none is younger than 0."""
-        mask, age = mask[self._few], np.clip(age[self._few], 0, WINDOWS[-1]).astype(np.uint16)
-        both = cv2.calcHist(
-            [self._owner, age], [0, 1], mask.view(np.uint8), [self._scopes, WINDOWS[-1]],
-            [0, self._scopes, 0, WINDOWS[-1]],
-        ).astype(np.int64)  # fmt: skip
-        found = []
-        for layers in WINDOWS:
-            counts = both[:, :layers].sum(axis=1)
-            counts[0] = counts.sum()
-            found.append(counts)
+    def __call__(self, **masks: np.ndarray) -> dict[str, np.ndarray]:
+        """masks : bool"""
+        found = {name: np.zeros(self._scopes, np.int64) for name in masks}
+        for name, mask in masks.items():
+            found[name][0] = np.count_nonzero(mask)
+        some = [name for name in masks if found[name][0]]
+        if self._scopes > 1:
+            for at in range(0, len(some), 8):
+                for name, counts in self._by_owner({name: masks[name] for name in some[at : at + 8]}).items():
+                    found[name][1:] = counts[1:]
         return found
+
+    def _by_owner(self, masks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Of up to eight masks, in one go: each is a bit."""
+        assert self._owner is not None
+        bits = np.zeros([part.stop - part.start for part in self._few], np.uint8)
+        for mask in masks.values():
+            bits += bits
+            bits |= mask[self._few].view(np.uint8)
+        pictures, size = [self._owner, bits.astype(self._kind, copy=False)], [self._scopes, 256]
+        both = cv2.calcHist(pictures, [0, 1], self._within, size, [0, size[0], 0, size[1]])
+        set_in = np.unpackbits(np.arange(256, dtype=np.uint8)[None], axis=0)[-len(masks) :]
+        return dict(zip(masks, (set_in.astype(float) @ both.T.astype(float)).astype(np.int64)))
+
+    def younger(self, mask: np.ndarray, seen: np.ndarray, age: np.ndarray) -> list[tuple[tuple[int, int], ...]]:
+        """For each scope and each of WINDOWS: the mask's pixels whose age in layers is less, and how many are seen.
+
+        mask, seen : bool; none is younger than 0
+        """
+        mask, oldest = mask[self._few], WINDOWS[-1]
+        kinds = 2 * np.clip(age[self._few][mask], 0, oldest) + seen[self._few][mask]
+        if self._owner is not None:
+            kinds += self._owner[mask].astype(kinds.dtype) * (2 * oldest + 2)
+        both = np.bincount(kinds, minlength=self._scopes * (2 * oldest + 2)).reshape(self._scopes, -1, 2)
+        both[0] = both.sum(axis=0)
+        upto = both.cumsum(axis=1)[:, [layers - 1 for layers in WINDOWS]].tolist()
+        return [tuple((unseen_px + seen_px, seen_px) for unseen_px, seen_px in scope) for scope in upto]
 
 
 def close_to(sight: Sight) -> Window:

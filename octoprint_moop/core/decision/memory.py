@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -29,11 +28,11 @@ Window = tuple  # (slice, slice): rows and columns
 
 
 def planes(picture_bgr: np.ndarray) -> np.ndarray:
-    """(3, H, W) uint8: blue, green and red of a picture (H, W, 3), smoothed. OpenCV is quickest with one channel at a time."""
-    smoothed = np.empty((3, *picture_bgr.shape[:2]), np.uint8)
-    for plane, channel in zip(smoothed, cv2.split(picture_bgr)):
-        cv2.blur(channel, (3, 3), dst=plane)
-    return smoothed
+    """(3, H, W) uint8: blue, green and red of a picture (H, W, 3 or more), smoothed. One at a time they are quickest worked with."""
+    smoothed, apart = cv2.blur(picture_bgr, (3, 3)), np.empty((3, *picture_bgr.shape[:2]), np.uint8)
+    for number, plane in enumerate(apart):
+        cv2.extractChannel(smoothed, number, dst=plane)
+    return apart
 
 
 class Memory:
@@ -56,6 +55,7 @@ class Memory:
         self._has_bare = np.full(shape, reference_bgr is not None) if known is None else known
         self._given_up = np.zeros(shape, bool)
         self._loose = np.zeros(shape, bool)
+        self._compared: tuple[np.ndarray | None, Window | None, dict[str, np.ndarray]] = (None, None, {})
         self._checks = self._crept = 0
         self._settled_at = SETTLING_CHECKS
         self.alignment = Alignment()
@@ -85,7 +85,7 @@ class Memory:
             return where
         few = about(where)
         has_bare, has_covered = self._has_bare[window][few], self._has_covered[window][few]
-        from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
+        from_bare, from_covered = self._from_bare(window, look)[few], self._from_covered(window, look)[few]
         nearer = (from_bare < np.float32(MUCH_NEARER) * from_covered) & (from_covered > CHANGED)
         like_bare = np.where(has_covered, nearer, from_bare < CHANGED)
         return placed(where, few, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
@@ -96,7 +96,7 @@ class Memory:
             return where
         few = about(where)
         still = self._has_bare[window][few] & ~self._has_covered[window][few]
-        return placed(where, few, still & (_apart(look, self._bare, window, few) < UNCHANGED))
+        return placed(where, few, still & (self._from_bare(window, look)[few] < UNCHANGED))
 
     def drift(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> float:
         """Grey levels by which the pixels `where` have changed since they were bare, on average, less what those `beside` have.
@@ -116,7 +116,7 @@ class Memory:
             return where
         few = about(where)
         known = self._has_bare[window][few] & self._has_covered[window][few]
-        from_bare, from_covered = _apart(look, self._bare, window, few), _apart(look, self._covered, window, few)
+        from_bare, from_covered = self._from_bare(window, look)[few], self._from_covered(window, look)[few]
         return placed(where, few, known & (cv2.min(from_bare, from_covered) > 2 * CHANGED))
 
     def looks_new(
@@ -129,7 +129,7 @@ class Memory:
         if not where.any():
             return where
         few = about(where)
-        new = _apart(look, self._bare, window, few) > change
+        new = self._from_bare(window, look)[few] > change
         has_bare = self._has_bare[window][few]
         return placed(where, few, new | ~has_bare if unknown else new & has_bare)
 
@@ -144,6 +144,26 @@ class Memory:
         darkest, brightest = ratios.min(axis=0), ratios.max(axis=0)
         shaded = (brightest < 1.0) & (darkest > SHADE_LEAST) & (brightest - darkest < SHADE_TINT * brightest)
         return placed(where, few, shaded & self._has_bare[window][few])
+
+    def _from_bare(self, window: Window, look: np.ndarray) -> np.ndarray:
+        """uint8, of the window's shape: the largest difference from the bare bed in any channel."""
+        return self._apart("bare", self._bare, window, look)
+
+    def _from_covered(self, window: Window, look: np.ndarray) -> np.ndarray:
+        """The same from the matter that was seen."""
+        return self._apart("covered", self._covered, window, look)
+
+    def _apart(self, name: str, kept: np.ndarray, window: Window, look: np.ndarray) -> np.ndarray:
+        """Many ask the same of one look, so it is worked out once."""
+        if self._compared[0] is not look or self._compared[1] != window:
+            self._compared = look, window, {}
+        known = self._compared[2]
+        if name not in known:
+            known[name] = _most_apart(look, kept[:, window[0], window[1]])
+        return known[name]
+
+    def _forget_compared(self) -> None:
+        self._compared = None, None, {}
 
     def bare(self, window: Window) -> np.ndarray:
         """(3, h, w) uint8: how the bed looks without matter, where that is known."""
@@ -172,6 +192,7 @@ class Memory:
                 cv2.copyTo(now, first, plane)
                 cv2.copyTo(cv2.addWeighted(now, LOOK_NEWEST, plane, 1 - LOOK_NEWEST, 0), mask, plane)
             has |= where
+        self._forget_compared()
 
     def accept(
         self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray, stray: np.ndarray
@@ -187,6 +208,7 @@ class Memory:
         self._has_covered[window] |= observed
         self._has_bare[window] |= ~observed
         self._given_up[window] |= wanted & ~observed
+        self._forget_compared()
 
     def loose(self, window: Window) -> np.ndarray:
         """bool: matter out of place with which the user went on, and what has grown from it since."""
@@ -218,6 +240,7 @@ class Memory:
         self._covered, self._bare = (np.stack([warp(plane) for plane in kept]) for kept in (self._covered, self._bare))
         for name in ("_has_covered", "_has_bare", "_given_up", "_loose"):
             setattr(self, name, warp(getattr(self, name).view(np.uint8)) > 0)
+        self._forget_compared()
 
     def recalibrated(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
         """The print is expected elsewhere from now on, where it was seen to be. As `carried`."""
@@ -253,13 +276,10 @@ class Memory:
         still, moved : looks of the frame as it was aligned and as it would have to be
         off_print    : (h, w) bool, where nothing of the print is, nor its shadow
         """
-        everything = (slice(None), slice(None))
-        told = off_print & self._has_bare[window] & (_most_apart(list(still), list(moved)) > CHANGED // 2)
+        told = off_print & self._has_bare[window] & (_most_apart(still, moved) > CHANGED // 2)
         if np.count_nonzero(told) < BED_LEAST_PX:
             return None
-        apart_still, apart_moved = (
-            float(_apart(look, self._bare, window, everything)[told].mean()) for look in (still, moved)
-        )
+        apart_still, apart_moved = (float(_most_apart(look, self.bare(window))[told].mean()) for look in (still, moved))
         if min(apart_still, apart_moved) > BED_CLEARLY * max(apart_still, apart_moved):
             return None
         return apart_moved < apart_still
@@ -306,13 +326,8 @@ def about(where: np.ndarray) -> Window:
     return slice(y, y + max(h, 1)), slice(x, x + max(w, 1))
 
 
-def _apart(look: np.ndarray, kept: np.ndarray, window: Window, few: Window) -> np.ndarray:
-    """uint8, for the `few` rows and columns of the window: the largest difference in any channel."""
-    return _most_apart([now[few] for now in look], [then[window][few] for then in kept])
-
-
-def _most_apart(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> np.ndarray:
-    """uint8: the largest difference in any of the three channels."""
+def _most_apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(h, w) uint8: the largest difference of two (3, h, w) in any of the three channels."""
     blue, green, red = (cv2.absdiff(now, then) for now, then in zip(one, other))
     return cv2.max(cv2.max(blue, green), red)
 
