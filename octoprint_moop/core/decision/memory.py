@@ -28,7 +28,10 @@ Window = tuple  # (slice, slice): rows and columns
 
 
 def planes(picture_bgr: np.ndarray) -> np.ndarray:
-    """(3, H, W) uint8: blue, green and red of a picture (H, W, 3 or more), smoothed. One at a time they are quickest worked with."""
+    """(3, H, W) uint8: blue, green and red of a picture (H, W, 3 or more), smoothed.
+
+    One channel at a time they are quickest to work with.
+    """
     smoothed, apart = cv2.blur(picture_bgr, (3, 3)), np.empty((3, *picture_bgr.shape[:2]), np.uint8)
     for number, plane in enumerate(apart):
         cv2.extractChannel(smoothed, number, dst=plane)

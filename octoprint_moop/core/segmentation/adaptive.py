@@ -177,9 +177,8 @@ def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:
 
 def _apart(colours: np.ndarray, others: np.ndarray, least: float) -> np.ndarray:
     """(H, W) bool: where two opponent pictures, smoothed, are further apart than that."""
-    first, second, third = (
-        cv2.LUT(channel, _SQUARES) for channel in cv2.split(cv2.blur(cv2.absdiff(colours, others), (3, 3)))
-    )
+    apart = cv2.blur(cv2.absdiff(colours, others), (3, 3))
+    first, second, third = (cv2.LUT(cv2.extractChannel(apart, number), _SQUARES) for number in range(3))
     return cv2.add(cv2.add(first, second), third) > least * least
 
 

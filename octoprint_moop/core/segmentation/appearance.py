@@ -57,7 +57,7 @@ def _smooth(histogram: np.ndarray) -> np.ndarray:
 
 def channel_sum(picture: np.ndarray) -> np.ndarray:
     """(H, W) uint8: the sum of the three channels of (H, W, 3), 255 where it is more."""
-    first, second, third = cv2.split(picture)
+    first, second, third = (cv2.extractChannel(picture, number) for number in range(3))
     return cv2.add(cv2.add(first, second), third)
 
 
@@ -127,7 +127,7 @@ class Plate:
     def part(self, region: tuple[int, int, int, int]) -> Plate:
         """Of the region (x0, y0, x1, y1)."""
         x0, y0, x1, y1 = region
-        return Plate(np.ascontiguousarray(self.colours[y0:y1, x0:x1]), np.ascontiguousarray(self.known[y0:y1, x0:x1]))
+        return Plate(self.colours[y0:y1, x0:x1], self.known[y0:y1, x0:x1])
 
 
 def _stay_table() -> np.ndarray:
@@ -150,7 +150,7 @@ def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None
     for background. 0 where the picture says nothing.
     """
     cells = _cells(colours)
-    ratio = np.take(model.ratios, cells)
+    ratio = np.take(model.ratios, cells, mode="clip")  # which they all are within, but numpy need not ask
     if plate is not None:
         # log(share x stay + (1 - share) x dense) - log(dense), of the kind that the pixel was known to be
         stay = cv2.LUT(cv2.blur(channel_sum(cv2.absdiff(colours, plate.colours)), (3, 3)), _STAY)

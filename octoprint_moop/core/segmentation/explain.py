@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .appearance import channel_sum
-
 _NEAR_PX = 3  # a calibrated camera, a warm bed and a slicer's bead model are together wrong by this much
 _SIDE_PX = 48  # the search looks at the expected mask shrunk to about this size
 _REACH_X, _REACH_Y = 0.35, 0.1  # of its size: how far a part is looked for
@@ -108,10 +106,11 @@ def _border_odds(strength: np.ndarray) -> np.ndarray:
 def _strength(colours: np.ndarray, size: tuple[int, int], step: int) -> tuple[np.ndarray, np.ndarray]:
     """How much the colour changes across each pixel, uint8, in any direction and upwards; the strongest about each
     pixel of the smaller picture."""
+    channels = [cv2.extractChannel(colours, number) for number in range(3)]
     across = []
     for kernel in (np.ones((1, 3), np.uint8), np.ones((3, 1), np.uint8)):
-        change = cv2.subtract(cv2.dilate(colours, kernel), cv2.erode(colours, kernel))
-        across.append(channel_sum(change))
+        first, second, third = (cv2.morphologyEx(channel, cv2.MORPH_GRADIENT, kernel) for channel in channels)
+        across.append(cv2.add(cv2.add(first, second), third))
     side = 2 * (step // 2) + 3
     pictures = (cv2.max(*across), across[1])
     wide = (cv2.dilate(picture, np.ones((side, side), np.uint8)) for picture in pictures)

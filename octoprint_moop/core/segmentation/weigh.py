@@ -81,6 +81,11 @@ def _mask_at_work_size(mask: np.ndarray, step: int) -> np.ndarray:
     return mask if step == 1 else cv2.threshold(_at_work_size(mask, step), 127, 255, cv2.THRESH_BINARY)[1]
 
 
+def _as_mask(where: np.ndarray) -> np.ndarray:
+    """uint8, 0 or 255, of bool."""
+    return where.view(np.uint8) * np.uint8(255)
+
+
 def _along_edges(values: np.ndarray, guide: np.ndarray) -> np.ndarray:
     """(H, W) float32: the guided filter of float32 `values` by the uint8 `guide`, worked at half the size."""
     height, width = values.shape
@@ -211,4 +216,4 @@ def weigh(
         size = frame_bgr.shape[1::-1]
         odds = cv2.resize(odds, size, interpolation=cv2.INTER_LINEAR)
         says = cv2.resize(says, size, interpolation=cv2.INTER_LINEAR)
-    return Observation(cv2.inRange(odds, _SOME, math.inf), cv2.inRange(says, -unsure, unsure))
+    return Observation(_as_mask(odds > _SOME), _as_mask((says >= -unsure) & (says <= unsure)))
