@@ -141,13 +141,11 @@ def silhouette_edges(camera: Camera, toolpath: Toolpath, view: SilhouetteView) -
     pixels = pixels[inside]
     if len(pixels) < _LEAST_POINTS:
         return SilhouetteEdges(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), 0.0)
-    pixels = pixels[:: max(1, len(pixels) // _MOST_POINTS)]
-    smooth = cv2.GaussianBlur(mask.astype(np.float32) / 255, (0, 0), 2.0)
-    slope = np.dstack([cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)])
-    outward = -slope[pixels[:, 1], pixels[:, 0]]
+    pixels = pixels[:: -(-len(pixels) // _MOST_POINTS)]
+    hard, seen = (np.multiply(m, np.float32(1 / 255), dtype=np.float32) for m in (mask, observed))
+    outward = -_slope(cv2.GaussianBlur(hard, (0, 0), 2.0), pixels)
     normal = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
-    seen = cv2.GaussianBlur(observed.astype(np.float32) / 255, (0, 0), 1.0)
-    own = cv2.GaussianBlur(mask.astype(np.float32) / 255, (0, 0), 1.0)
+    seen, own = (cv2.GaussianBlur(m, (0, 0), 1.0) for m in (seen, hard))
     off_px = _crossing(seen, pixels, normal) - _crossing(own, pixels, normal)
     found = np.isfinite(off_px)
     beads = view.expected.birth[pixels[:, 1], pixels[:, 0]].astype(np.int64) - 1
@@ -157,11 +155,24 @@ def silhouette_edges(camera: Camera, toolpath: Toolpath, view: SilhouetteView) -
     return SilhouetteEdges(points_mm[found], normal[found], off_px[found], float(found.mean()))
 
 
+def _slope(smooth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(N, 2) float32: Sobel's derivatives, to the right and down, at a few pixels that lie inside."""
+    x, y = pixels.T
+    around = {(dx, dy): smooth[y + dy, x + dx] for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy}
+    right, left, below, above = (
+        around[side] * 2 + around[one] + around[other]
+        for side, one, other in (
+            ((1, 0), (1, -1), (1, 1)), ((-1, 0), (-1, -1), (-1, 1)), ((0, 1), (-1, 1), (1, 1)), ((0, -1), (-1, -1), (1, -1)),
+        )
+    )  # fmt: skip
+    return np.column_stack([right - left, below - above])
+
+
 def _crossing(soft: np.ndarray, pixels: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(N,) float64: where along each normal the mask ends, nearest to the pixel; NaN where it does not."""
     offsets = np.arange(-_REACH_PX, _REACH_PX + 0.1, 0.5)
-    where = pixels[:, None] + offsets[None, :, None] * normal[:, None]
-    line = cv2.remap(soft, where[..., 0].astype(np.float32), where[..., 1].astype(np.float32), cv2.INTER_LINEAR)
+    x, y = ((pixels[:, axis, None] + offsets * normal[:, axis, None]).astype(np.float32) for axis in (0, 1))
+    line = cv2.remap(soft, x, y, cv2.INTER_LINEAR)
     falls = (line[:, :-1] >= 0.5) & (line[:, 1:] < 0.5)
     at = np.where(falls, np.abs(offsets[None, :-1]), np.inf)
     nearest, rows = at.argmin(axis=1), np.arange(len(line))

@@ -177,8 +177,7 @@ def _edges(
     """(N,) how far outwards the silhouette's edge lies from each point, the nearest to where it is thought to be; and whether
     there is one within reach."""
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX, STEP_PX)
-    there = points[:, None] + normals[:, None] * offsets[None, :, None]
-    x, y = there[..., 0].astype(np.float32), there[..., 1].astype(np.float32)
+    x, y = ((points[:, axis, None] + normals[:, axis, None] * offsets).astype(np.float32) for axis in (0, 1))
     profile = cv2.remap(soft, x, y, cv2.INTER_LINEAR)
     hidden = cv2.remap(blind, x, y, cv2.INTER_NEAREST, borderValue=1).any(axis=1)
     falls = (profile[:, :-1] >= 0.5) & (profile[:, 1:] < 0.5)
