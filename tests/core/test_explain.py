@@ -31,6 +31,14 @@ def test_what_is_as_expected_is_left_as_it_is():
     assert story.moved_px == (0, 0) and story.missing_px == 0 and np.array_equal(story.mask, block())
 
 
+def test_where_all_of_it_is_plainly_seen_an_edge_nearby_tells_no_other_story():
+    picture = PLAIN.copy()
+    cv2.rectangle(picture, (116, 60), (196, 160), (255, 255, 255), 2)  # a border just where the block might have gone
+    wide = seen(block(right=200), strength=3.5, noise=0.3)  # and beside it something of its colour
+    story = explain(wide, block(), picture)
+    assert story.moved_px == (0, 0) and story.missing_px == 0 and story.support > 2.5
+
+
 @pytest.mark.parametrize("x_px", [-16, 16, 24])
 def test_a_part_that_moved_is_found_by_all_its_weak_pixels_together(x_px):
     story = explain(seen(block(left=100 + x_px, right=180 + x_px)), block(), PLAIN)

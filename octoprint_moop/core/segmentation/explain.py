@@ -17,6 +17,8 @@ _NEAR_PX = 3  # a calibrated camera, a warm bed and a slicer's bead model are to
 _SIDE_PX = 48  # the search looks at the expected mask shrunk to about this size
 _REACH_X, _REACH_Y = 0.35, 0.1  # of its size: how far a part is looked for
 _CUT_MAX = 0.6  # of its height: more than this missing is not told from a picture that shows something else
+_SEEN = 2.0  # evidence of filament that leaves little to doubt
+_RIM_PX, _SPOT_PX = 2, 3
 _CLIP = 3.0  # of the evidence, so that a lamp in the background does not outweigh the print
 _BORDER_SLOPE = 4.0
 _BORDER_WEIGHT = 1.2  # of the mean over the outline, against the mean evidence over the area
@@ -146,6 +148,13 @@ def _look(
     return _Field(shape, outline, small, border, ledge, near)
 
 
+def _all_seen(evidence: np.ndarray, expected: np.ndarray) -> bool:
+    """Whether no spot of the mask, but for its rim, lacks evidence of filament: then nothing is left to be explained."""
+    inside = cv2.erode(expected, np.ones((2 * _RIM_PX + 1,) * 2, np.uint8))
+    unseen = cv2.bitwise_and(inside, (evidence <= _SEEN).view(np.uint8))
+    return not cv2.erode(unseen, np.ones((_SPOT_PX,) * 2, np.uint8)).any()
+
+
 def explain(evidence: np.ndarray, expected: np.ndarray, colours: np.ndarray) -> Explanation:
     """The story with the most evidence for it: as expected, moved, unfinished, or moved and unfinished.
 
@@ -158,6 +167,9 @@ def explain(evidence: np.ndarray, expected: np.ndarray, colours: np.ndarray) -> 
     if not area_px:
         return Explanation(expected, 0.0)
     x, y, w, h = cv2.boundingRect(expected)
+    within = np.s_[y : y + h, x : x + w]
+    if _all_seen(evidence[within], expected[within]):
+        return Explanation(expected, min(cv2.mean(evidence[within], mask=expected[within])[0], _CLIP))
     step = max(1, int(np.sqrt(w * h) / _SIDE_PX))
     top, left = y // step * step, x // step * step
     field = _look(evidence, expected, colours, (left, top, x + w - left, y + h - top), step)
