@@ -59,9 +59,11 @@ def replayed(folder: Path, camera: str, segmentation: str, renderer: Any) -> dic
     summary, fault = Summary.of(checks), truth.get("fault")
     onset, visible = (fault["onset_layer"], fault["first_visible_layer"]) if fault else (None, None)
     failed = summary.first_failed_layer
+    well = [check for check in checks if check.comparison is not None and (onset is None or check.moment.layer < onset)]
     caught = fault is not None and failed is not None and failed >= onset
     return {
         "recording": folder.name, "camera": camera, "segmentation": segmentation, "misfit_px": round(misfit_px, 2),
+        "E_mean": round(float(np.mean([check.comparison.error_ratio for check in well])), 4),
         "fault": fault["kind"] if fault else None, "visible": visible, "failed": failed, "mode": summary.mode,
         "delay": max(0, failed - visible) if caught and visible is not None else None,
         "mode_right": caught and summary.mode in RIGHT_MODES.get(fault["kind"], {summary.mode}),
@@ -100,9 +102,19 @@ def write_table() -> None:
 
 
 def as_table(rows: list[dict[str, Any]]) -> str:
-    head = ["recording", "camera", "its misfit, px", "segmentation", "fault visible", "failed", "called", "false alarm"]
+    head = [
+        "recording",
+        "camera",
+        "its misfit, px",
+        "segmentation",
+        "mean E before any fault",
+        "fault visible",
+        "failed",
+        "called",
+        "false alarm",
+    ]
     return table(head, [
-        [row["recording"], row["camera"], row["misfit_px"], row["segmentation"], row["visible"], row["failed"],
+        [row["recording"], row["camera"], row["misfit_px"], row["segmentation"], f"{row['E_mean']:.4f}", row["visible"], row["failed"],
          row["mode"], "yes" if row["false_alarm"] else "no"] for row in rows
     ])  # fmt: skip
 
