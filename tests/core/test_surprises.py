@@ -160,6 +160,7 @@ def test_while_the_user_has_just_gone_on_missing_matter_is_not_asked_after():
         (0.5, 6.0, SUSPECT, 5.9),
         (1, 0.0, SUSPECT, 0.4),
         (0.875, 0.75, SUSPECT, 1.025),
+        (0.6, 5.0, FAILED, 5.0),
         (0.75, 0.85, SUSPECT, 1.0),
         (0.75, 0.75, OK, 0.9),
         (0, 0.25, OK, 0.0),
