@@ -57,6 +57,13 @@ def test_what_is_changed_in_the_page_is_what_the_server_keeps(settings_page: Any
     assert {name: kept[name] for name in untouched} == {name: DEFAULTS[name] for name in untouched}
 
 
+def test_nothing_of_the_page_is_cut_off_at_the_dialogs_edge(settings_page: Any) -> None:
+    page = settings_page()
+    page.click("[data-test-id=moop-expert] summary")
+    box = "document.querySelector('#settings_dialog_content')"
+    assert page.evaluate(f"{box}.scrollWidth - {box}.clientWidth") <= 0
+
+
 def test_a_value_out_of_range_is_told_at_its_field_and_never_saved(settings_page: Any, server: DemoServer) -> None:
     page = settings_page()
     page.fill(field("value_min"), "7")
