@@ -110,6 +110,18 @@ def test_many_points_and_few_are_seen_where_opencv_sees_them(lens):
     assert np.allclose(camera.project(many[:50]), theirs.reshape(-1, 2)[:50], atol=1e-9)
 
 
+@pytest.mark.parametrize("place", range(8))
+def test_many_points_are_bent_by_each_number_of_the_lens_alone_as_opencv_bends_them(place):
+    plain = eye()
+    lens = np.zeros(8)
+    lens[place] = 0.05
+    camera = Camera(plain.image_size_px, plain.K, lens, plain.rvec, plain.tvec_mm)
+    many = np.tile(POINTS, (3, 1))
+    theirs, _ = cv2.projectPoints(many, camera.rvec, camera.tvec_mm, camera.K, camera.distortion)
+    assert np.allclose(camera.project(many), theirs.reshape(-1, 2), atol=1e-9)
+    assert np.abs(camera.project(many) - plain.undistorted().project(many)).max() > 1e-4  # it does bend
+
+
 def test_what_is_at_or_behind_the_camera_has_no_pixel():
     camera = Camera((640, 480), np.diag([600.0, 600.0, 1.0]), np.zeros(5), np.zeros(3), np.zeros(3))
     pixels = camera.project([[0.1, 0.2, 0.5], [1, 1, 0], [0, 0, -5]])
