@@ -29,7 +29,7 @@ SCALES = (4, 2, 1)  # of the image pyramid, coarse to fine, against the finest: 
 COARSEST, FINEST = 0, len(SCALES) - 1
 SMALL_PX = 480  # pictures no wider are not looked at in smaller
 SEARCH_PX, SEARCH_STEP_PX = 48, 16  # at 640 pixels across: where a first guess is looked for
-GUESS_POINTS, ALIGN_POINTS = 250, 700
+GUESS_POINTS, ALIGN_POINTS = 300, 700
 ITERATIONS, ENOUGH_PX = 12, 0.03  # px of the level
 GLANCE_EVERY = 3  # of the pixels, to tell that nothing has moved
 NOTICEABLE_PX = 0.4  # at 640 pixels across
@@ -40,7 +40,7 @@ LEAST_NOISE, LEAST_APART_RATIO = (
     0.04,
 )  # grey levels, and of what a pixel looks like beside: until frames have shown it
 MOST_LOSS = 9.0  # of a pixel, in variances
-WELL, LESS_WELL, BADLY = 1.3, 1.5, 3.0  # mean loss: as expected; times the usual; never that of a camera that stands
+WELL, LESS_WELL, BADLY = 1.3, 1.5, 3.3  # mean loss: as expected; times the usual; never that of a camera that stands
 FITS, LOST_RATIO = 2.5, 0.25  # mean loss of a region; of the regions, so few fit if the camera is nowhere near
 SPEAKING, SPEAKING_RATIO, FITTING_RATIO = 5, 6, 0.4  # regions for a turn, and against those not; pixels that must fit
 REGION_POINTS = 6
@@ -162,16 +162,17 @@ class Stabiliser:
         if self._stands(pyramid, last):
             self._learn(pyramid, last)
             return last
+        old = self._losses(pyramid, last.rvec)
+        badly = self._known and bool(old.mean() > BADLY)
         starts = [last.rvec]
         for start in (self._first_guess(pyramid[COARSEST], last.rvec), STILL.rvec):
             if all(self._apart_px(start, other) > SEARCH_STEP_PX / 2 * self._px for other in starts):
                 starts.append(start)
         found = [self._aligned(pyramid, start) for start in starts]
         rvec = min(found, key=lambda rvec: float(self._losses(pyramid, rvec).sum()))
-        new, old = (self._losses(pyramid, turned) for turned in (rvec, last.rvec))
-        if not self._believed(pyramid, rvec, new, old):
-            self.lost = self._known and float(np.mean(self._by_region(old) < FITS)) < LOST_RATIO
-            if not self.lost:
+        if not self._believed(pyramid, rvec, self._losses(pyramid, rvec), old):
+            self.lost = badly and float(np.mean(self._by_region(old) < FITS)) < LOST_RATIO
+            if not badly:
                 self._learn(pyramid, last)
             return last
         self.sure = self._known = True
@@ -242,8 +243,7 @@ class Stabiliser:
         seen, inside = relief.at(self._aim.pixels(COARSEST, few, rvecs))
         loss = np.minimum(self._residual(seen, level.height[few]) ** 2 / level.apart[few], MOST_LOSS)
         loss[~inside] = MOST_LOSS
-        telling = level.telling[few]
-        return np.array(rvecs[int(np.argmin(loss[:, telling].sum(axis=1)))]) if telling.any() else last
+        return np.array(rvecs[int(np.argmin(loss[:, level.telling[few]].sum(axis=1)))])
 
     def _turned_by(self, right_px: float, down_px: float) -> np.ndarray:
         """(3,) the rotation vector that moves the picture's middle by so much, pixels at 640 across."""
