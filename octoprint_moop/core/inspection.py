@@ -256,7 +256,8 @@ class Inspector:
         hidden_before = self._hidden_checks.get(moment.camera, 0)
         self._hidden_checks[moment.camera] = hidden_before + 1 if hidden_now else 0
         if hidden_now and hidden_before < HIDDEN_CHECKS:
-            return self._blind(Look(comparison, UNUSABLE, HIDDEN), moment)
+            alike = _unseen_and_unmissed(findings, memory)
+            return self._blind(Look(comparison, UNUSABLE, ALIKE if alike else HIDDEN), moment)
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), moment)

@@ -78,6 +78,15 @@ def test_on_such_a_bed_a_single_wall_that_moved_is_the_camera_only_where_nothing
     assert (found.whole.lost_px > 100) is sure
 
 
+def test_much_that_is_seen_no_more_though_nothing_shows_that_it_has_gone_is_hidden():
+    """Something of the print's own brightness stands before one of two walls, and segmentation takes it for no filament."""
+    stage = Stage().printed(12)
+    found = stage.look(13, walls(13), observed=wall(1, 13))
+    assert found.whole.lost_px == 0
+    assert found.hidden_px > 0.3 * found.whole.standing_px
+    assert stage.look(14, walls(14)).hidden_px == 0
+
+
 def test_layers_that_are_shifted_are_not_a_camera_that_moved():
     stage = Stage().printed(12)
     found = stage.look(18, walls(12) | moved(wall(0, 18, 13) | wall(1, 18, 13), 6, 0))

@@ -40,6 +40,7 @@ RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far off stray matter may begin
 LOOSE_PX = 20.0  # at up to 640 pixels across: what comes so near to loose matter is more of it
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
+UNTOLD_RATIO, STRAY_RATIO = 0.3, 0.15  # of what stood, and against what has gone
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
 MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 32.0, 2.5, 12.0  # at up to 640 pixels across
@@ -267,6 +268,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     rim &= ~memory.looks_shaded(window, look, rim)
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
+    gone_px = np.count_nonzero(lost)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
     stray = _could_have_come(stray, sight.laid_px, int(np.count_nonzero(lost)))
     loose_u8 = np.where(memory.loose(window), np.uint8(255), np.uint8(0))
@@ -276,6 +278,11 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         lost &= ~within(loose_u8, LOOSE_PX * sight.finer)
     alike = _could_be_matter(lost | unseen | barren, wanted, observed & wanted & ~unchanged, look, memory.bare(window))
     lost, unseen, barren = lost & ~alike, unseen & ~alike, barren & ~alike
+    untold_px = gone_px - np.count_nonzero(lost)
+    if untold_px > UNTOLD_RATIO * np.count_nonzero(standing) and np.count_nonzero(stray) <= STRAY_RATIO * untold_px:
+        hidden_px = max(
+            hidden_px, untold_px
+        )  # nothing bears out that so much has gone: what is fresh may be hidden too
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
     )
@@ -326,7 +333,7 @@ def _hidden_px(
     come off, matter lies where it did not, whatever its shadow does to the bed.
     """
     gone_px = np.count_nonzero(gone)
-    if gone_px < HIDING_PX or np.count_nonzero(stray) > 0.15 * gone_px:
+    if gone_px < HIDING_PX or np.count_nonzero(stray) > STRAY_RATIO * gone_px:
         return 0
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)

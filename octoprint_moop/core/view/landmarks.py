@@ -70,9 +70,9 @@ class Relief:
     def at(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(..., n) float32 at (..., n, 2) float32 positions, and whether each is in the picture."""
         height, width = self.height.shape
-        x, y = (np.ascontiguousarray(pixels[..., axis].reshape(-1, pixels.shape[-2])) for axis in (0, 1))
-        if x.size == 0:
+        if pixels.size == 0:
             return np.zeros(pixels.shape[:-1], np.float32), np.zeros(pixels.shape[:-1], bool)
+        x, y = (np.ascontiguousarray(pixels[..., axis].reshape(-1, pixels.shape[-2])) for axis in (0, 1))
         inside = (x > 0) & (y > 0) & (x < width - 1) & (y < height - 1)
         seen = cv2.remap(self.height, x, y, cv2.INTER_LINEAR)
         return seen.reshape(pixels.shape[:-1]), inside.reshape(pixels.shape[:-1])
