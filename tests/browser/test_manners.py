@@ -134,9 +134,12 @@ def test_past_prints_and_set_up_fit_a_telephone_whatever_the_names(canned: Canne
     canned.recordings = past_prints("a_job_with_a_name_that_nobody_could_ever_print_on_one_line_" * 3 + ".gcode")
     canned.checks = [check(8), FAILED]
     page = open_tab()
+    open_past(page)
+    edge = page.evaluate("document.querySelector('#moop_past').getBoundingClientRect().right")
+    delete = page.locator("[data-test-id=moop-past-delete]").bounding_box()
+    assert delete["x"] + delete["width"] <= edge  # the last button of a row is not cut off on a wide screen either
     page.set_viewport_size(TELEPHONE)
     page.add_style_tag(content=ONE_COLUMN)
-    open_past(page)
     page.click("[data-test-id=moop-past-open]")
     page.wait_for_selector("[data-test-id=moop-past-check]:has-text('Layer')")
     assert too_wide(page) == []
