@@ -199,6 +199,21 @@ def test_numbers_are_read_to_the_last_bit(numbers):
     assert values.tolist() == [float(text) for text in numbers]
 
 
+@pytest.mark.parametrize(
+    "said", ["0.45", "0.449999", ".5", "1", "12.", "0.45\r", "", "0.4.5", "-0.4", "nan", "0x1", "0,4", "4e-1", " 0.4"]
+)
+def test_widths_that_are_read_together_are_read_as_one_by_one(said, monkeypatch):
+    moves = "".join(f"G1 X{10 + n % 7} Y{n} E{0.1 * n:.2f}\n" for n in range(1, 41))
+    parts = [f";WIDTH:{width}\nG92 E0\n{moves}" for width in ("0.61", said, "0.47")]
+    data = ("M82\nG1 Z0.2\n" + "".join(parts)).encode()
+    together = read_gcode_bytes(data).beads_mm[:, 6]
+    monkeypatch.setattr(gcode, "_plain_numbers", lambda text, begin, end: None)
+    assert np.array_equal(together, read_gcode_bytes(data).beads_mm[:, 6])
+    assert set(together[:40]) == {np.float32(0.61)} and set(together[80:]) == {np.float32(0.47)}
+    if said[0:3] == "0.4" and said.rstrip().count(".") == 1 and "," not in said:
+        assert set(together[40:80]) == {np.float32(said)}
+
+
 def test_every_dialect_is_read_as_line_by_line(shared):
     for path in sorted((shared / "data" / "gcode-zoo").glob("*.gcode")):
         assert_read_alike(path.read_bytes())

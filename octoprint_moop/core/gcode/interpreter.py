@@ -11,6 +11,7 @@ import math
 import re
 from array import array
 from collections import Counter
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,6 +42,7 @@ _PLAIN_M = re.compile(rb"M0{0,4}(\d{1,4})(?![\d.])[^;]*$")
 SPARE_BEADS, BEADS_PER_BYTE, FEWEST_CHORDS = 200_000, 0.5, 4
 
 
+@lru_cache(maxsize=4096)
 def idle_command(raw: bytes) -> bool | None:
     """Of a line that `Interpreter.run` would do nothing with: whether it leaves a retraction's tail open. None of others.
 

@@ -13,6 +13,7 @@ import gzip
 import io
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, Callable, NamedTuple, Union, cast
 
@@ -33,6 +34,7 @@ HEAD_BYTES = 1 << 18
 LONGEST_LINE_BYTES = 1 << 20
 SHORT_RUN = 24  # rows; for fewer the interpreter is quicker than numpy
 _SEMICOLON, _WIDTH, MOST_WIDTH_MM = ord(";"), b";WIDTH:", 100.0
+_FIGURES = b"0123456789.\r\n"
 LEAST_E_VALUES = 8  # fewer extruding moves do not tell absolute from relative E
 BOM = b"\xef\xbb\xbf"
 
@@ -203,7 +205,7 @@ class _Reader:
                 # After some comments filament is fed by another than before, see `Interpreter.own_gcode`.
                 stateless = not (_may_begin(raw) if own else b"ustom" in raw)
             else:
-                heard, stateless = raw, _STATELESS.match(raw) is not None
+                heard, stateless = raw, _is_stateless(raw)
             if stateless:
                 waiting.lines.append(i)
                 waiting.heard.append(heard)
@@ -282,13 +284,18 @@ class _Chunk:
         text, tell = np.frombuffer(self._chunk, np.uint8), others
         for i, letter in enumerate(_WIDTH):
             tell = tell[text.take(self.lines.start[tell] + i, mode="clip") == letter]
-        pairs = zip((self.lines.start[tell] + len(_WIDTH)).tolist(), self.lines.end[tell].tolist())
+        begin, end = self.lines.start[tell] + len(_WIDTH), self.lines.end[tell]
         try:
-            widths_mm = np.array([float(self._chunk[begin:end]) for begin, end in pairs])
+            widths_mm = _plain_numbers(text, begin, end + 1)
+            if widths_mm is None:
+                widths_mm = np.array(
+                    [float(self._chunk[one:other]) for one, other in zip(begin.tolist(), end.tolist())]
+                )
         except ValueError:
             return np.empty(0, np.int64), np.empty(0)
-        sane = (widths_mm >= 0) & (widths_mm < MOST_WIDTH_MM)
-        return tell[sane], widths_mm[sane]
+        if not ((widths_mm >= 0) & (widths_mm < MOST_WIDTH_MM)).all():
+            return np.empty(0, np.int64), np.empty(0)
+        return tell, widths_mm
 
     def widths(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
         """Of lines [begin, end): those that tell a width, and it; (n,) int64, (n,) float64, mm."""
@@ -310,6 +317,24 @@ class _Chunk:
     def interpret(self, machine: Interpreter, lines: Iterable[int]) -> None:
         for i in lines:
             machine.run(self.text(i), self.end(i))
+
+
+def _plain_numbers(text: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+    """(n,) float64: the numbers in [begin, end) of the bytes, each with its newline; None where one is no digits and dot."""
+    lengths = end - begin
+    first = np.cumsum(lengths) - lengths
+    told = text.take(np.arange(int(lengths.sum())) + np.repeat(begin - first, lengths))
+    if not len(told) or told.tobytes().translate(None, _FIGURES):
+        return None
+    starts_right = (told[first] >= ord("0")).all()
+    if not starts_right or np.add.reduceat(told == ord("."), first).max() > 1:
+        return None
+    return np.fromstring(told.tobytes(), dtype=np.float64, sep="\n")
+
+
+@lru_cache(maxsize=4096)
+def _is_stateless(raw: bytes) -> bool:
+    return _STATELESS.match(raw) is not None
 
 
 def _may_begin(raw: bytes) -> bool:
