@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from .stage import GROUND, LAYER_PX, PX_PER_MM, SHAPE, Stage, moved, wall, walls
 
 
 class FlatPlace:
-    """The bed seen as a map: x to the right, y to the back, PX_PER_MM."""
+    """The bed seen aslant: x to the right, y to the back, and heights as long as depths, PX_PER_MM."""
 
     def __init__(self, upto: int) -> None:
         self._upto = upto
@@ -24,7 +26,7 @@ class FlatPlace:
         return np.where(part, np.uint8(255), np.uint8(0))
 
     def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
-        return np.asarray(pixels, float) / PX_PER_MM * [1, -1]
+        return np.asarray(pixels, float) / PX_PER_MM * [1, -1] - [0, z_mm]
 
     def layer_z_mm(self, layer: int) -> float:
         return 0.2 * (layer + 1)
@@ -63,12 +65,33 @@ def test_layers_that_never_came_are_an_extrusion_failure_since_the_first_of_them
     assert found.sentence == "No new material since layer 23."  # counted from 1
 
 
+def millimetres(sentence: str) -> float:
+    return float(re.search(r"([0-9.]+) mm", sentence).group(1))
+
+
 def test_a_foot_laid_bare_is_a_corner_that_has_lifted():
     matter = walls(21)
     matter[GROUND - 8 : GROUND, 90:112] = False
     found = named(21, matter, object_id=0)
     assert found.mode == "warping"
-    assert "left" in found.sentence and "2.0 mm" in found.sentence
+    assert "left" in found.sentence and millimetres(found.sentence) == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_corner_that_lifts_behind_the_print_shows_extra_matter_only_and_is_no_shift():
+    """The wall's top left rises by up to 3 mm, the more the nearer to the corner; in front nothing is laid bare."""
+    matter = walls(21)
+    top = GROUND - 22 * LAYER_PX
+    for column in range(90, 120):
+        matter[top - round(12 * (120 - column) / 30) : top, column] = True
+    found = named(21, matter, object_id=0)
+    assert found.mode == "warping"
+    assert "left" in found.sentence and millimetres(found.sentence) == pytest.approx(3.0, abs=0.6)
+
+
+def test_what_is_displaced_on_one_of_two_objects_alone_is_no_shift_since_axes_that_slip_shift_both():
+    beside = moved(wall(0, 23, 21), -12, 0)
+    assert named(23, walls(20) | beside | moved(wall(1, 23, 21), -12, 0), object_id=0).mode == "layer_shift"
+    assert named(23, walls(20) | beside | wall(1, 23, 21), object_id=0).mode == "stray_material"
 
 
 def test_strands_beside_a_print_that_stands_are_stray_material():
@@ -87,10 +110,9 @@ def test_a_print_that_has_stopped_growing_amid_strands_is_not_called_a_clog():
     assert named(23, matter, object_id=0).mode == "stray_material"
 
 
-def test_a_small_lift_that_also_looks_like_a_small_move_is_a_lift():
-    """Two millimetres to the side would lay bare as much: a print that has come off does not stop so soon."""
+def test_a_foot_laid_bare_all_the_way_up_that_sticks_out_at_the_other_end_has_come_off_however_little():
     matter = walls(21)
     matter[GROUND - 44 : GROUND, 90:96] = False
     matter[GROUND - 44 : GROUND, 150:155] = True
     found = named(21, matter, object_id=0)
-    assert found.mode == "warping"
+    assert found.mode == "detachment" and millimetres(found.sentence) == pytest.approx(5 / PX_PER_MM, abs=0.3)

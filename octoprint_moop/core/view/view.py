@@ -75,7 +75,7 @@ class SteadyFrame:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """The print before this camera at one moment; see `diagnose.Place`. Pixels are the window's."""
+    """The print before this camera at one moment; see `movements.Place`. Pixels are the window's."""
 
     window: Window
     toolpath: Toolpath

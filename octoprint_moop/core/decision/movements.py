@@ -1,0 +1,301 @@
+"""How a print may have moved, each way tried as an explanation of what differs: as a whole, above a layer, at a corner.
+
+What differs, cleaned, is matter that is lost, stray and unseen. A movement explains so much of it as vanishes once the
+print is taken to have moved so; a movement that would show elsewhere as well, and doesn't, explains little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Callable, Protocol
+
+import cv2
+import numpy as np
+
+from .evidence import WHOLE, WINDOWS, Findings, Sight
+from .spots import disc
+
+EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
+FIRST_SHIFTED_RATIO, AS_GOOD = 0.4, 0.15
+LEAST_SHIFT_PX = 2.0
+TURNS_DEG = (0, -8, 8, -16, 16, -25, 25)
+LAYERS_BACK = (0, 1, 2, 3, 5, 8)
+LIFTS_PX = (2.0, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20.0)
+LIFT_BENDS = (1.0, 2.0)
+STRAY_LEAST_PX, STRAY_SHIFTED_RATIO = (
+    30,
+    0.15,
+)  # of the stray matter must lie where a shift would put it, were all else a clog's doing
+WAYS, WAY_RAD = 3, np.radians(22.5)  # to either side of where the difference lies
+OTHERS_LEAST_PX, OTHERS_MOVED_PX = 20, 6
+
+
+class Place(Protocol):
+    """What the diagnosis asks of the camera: core/view/view.py."""
+
+    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+        """(H, W) uint8, 255 where what lies of that object (-1: of everything) from `first_layer` on would be seen alone."""
+
+    def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
+        """(N, 2): where lines of sight through pixels (N, 2) meet the plane z = z_mm, print coordinates."""
+
+    def layer_z_mm(self, layer: int) -> float: ...
+
+
+@dataclass(frozen=True)
+class Move:
+    """A movement that would explain some of the difference: from where to where its middle went, in picture pixels."""
+
+    from_px: tuple[float, float]
+    to_px: tuple[float, float]
+    explained_ratio: float
+    of_stray_ratio: float
+    layer: int = 0
+
+    @property
+    def distance_px(self) -> float:
+        return float(np.hypot(self.to_px[0] - self.from_px[0], self.to_px[1] - self.from_px[1]))
+
+
+@dataclass(frozen=True)
+class Lift:
+    """A corner that has risen: where it is in the picture, and how far up it has come."""
+
+    at_px: tuple[float, float]
+    height_mm: float
+    distance_px: float
+    explained_ratio: float
+
+
+class Scope:
+    """The findings of one object, or of the whole print, counted in the ways the kinds ask for."""
+
+    def __init__(self, object_id: int, findings: Findings, sight: Sight) -> None:
+        print_map, window = sight.print_map, findings.window
+        everywhere = np.ones(findings.wanted.shape, bool)
+        inside = everywhere if object_id == WHOLE else print_map.owner[window] == object_id
+        around = everywhere if object_id == WHOLE else print_map.nearest[window] == object_id
+        owned = print_map.owner[window] >= 0
+        self._labelled = owned if owned.any() else everywhere
+        self._origin_px = np.array([window[1].start, window[0].start], float)
+        self._layer, self._layer_of = sight.layer, print_map.layer[window]
+        self._owner, self._all_wanted, self._scopes = print_map.owner[window], findings.wanted, findings.scopes
+        self._others = [one for one in findings.scopes if one.object_id not in (WHOLE, object_id)]
+        self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
+        self._lost, self._unseen = findings.lost & inside, findings.unseen & inside
+        self.stray = findings.stray & around
+        # what is seen, cleaned: the expected mask but for what is worth a word; nothing of the neighbours
+        self._seen = (self._wanted & ~self._lost & ~self._unseen) | self.stray
+        self._foreign = (findings.wanted | (findings.seen & ~around)) & ~self._wanted & ~self.stray
+        self.lost_px, self.stray_px, self.unseen_px, self.standing_px = (
+            int(np.count_nonzero(mask)) for mask in (self._lost, self.stray, self._unseen, self._standing)
+        )
+        edge = disc(sight.tolerance_px)
+        wanted = self._wanted.astype(np.uint8)
+        near_edge = cv2.dilate(wanted, edge) != cv2.erode(wanted, edge)
+        # along the expected edges the evidence has no say, unless it spoke up
+        self._counts = (~near_edge & ~self._foreign) | self._lost | self._unseen | self.stray
+        self.wrong_px = self._differing_px(self._wanted)
+
+    def _differing_px(self, explained: np.ndarray) -> int:
+        return int(np.count_nonzero((explained ^ self._seen) & self._counts))
+
+    def middle(self) -> tuple[float, float]:
+        """The middle of what stands, in picture pixels."""
+        return tuple(middle_of(self._wanted) + self._origin_px)
+
+    def bared(self) -> tuple[tuple[float, float], float]:
+        """Where matter is lost, in picture pixels, and how high the largest gap is, in pixels."""
+        gaps = self._lost.sum(axis=0)
+        # what is lost keeps a pixel's distance from what is still seen
+        gap_px = float(np.percentile(gaps[gaps > 0], 80)) + 1 if gaps.any() else 0.0
+        return tuple(middle_of(self._lost) + self._origin_px), gap_px
+
+    def unseen_ratio(self, since: int) -> float:
+        """Share of what has come since that layer, and is in sight, that is not seen."""
+        new = self._wanted & (self._layer_of >= since)
+        return int(np.count_nonzero(new & self._unseen)) / max(int(np.count_nonzero(new)), 1)
+
+    def first_unseen_layer(self) -> int:
+        """Going back from the last layer, the first of those of which a good part is not seen."""
+        first = self._layer
+        for layer in range(self._layer, max(self._layer - WINDOWS[-1], -1), -1):
+            new = self._wanted & (self._layer_of == layer)
+            wanted_px = np.count_nonzero(new)
+            if wanted_px >= 5:
+                if np.count_nonzero(new & self._unseen) < 0.3 * wanted_px:
+                    break
+                first = layer
+        return first
+
+    def moved_whole(self, least_px: float) -> Move | None:
+        """How what stood there has moved as a whole, by no less; None where that doesn't explain what differs."""
+        best: Move | None = None
+        loose = self._loose()
+        rest = self._standing & ~loose
+        for turn_deg in TURNS_DEG:
+            move = self._best_move(_turned(loose, turn_deg), rest)
+            if move is None or move.distance_px < least_px:
+                continue
+            if best is None or move.explained_ratio > best.explained_ratio:
+                best = move
+        return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
+
+    def _loose(self) -> np.ndarray:
+        """What stood in one piece with what is lost: a skirt stays where it is when the print comes off."""
+        body = self._standing & self._labelled
+        count, labels = cv2.connectedComponents(body.astype(np.uint8), connectivity=4)
+        whole_px = np.bincount(labels.ravel(), minlength=count)
+        lost_px = np.bincount(labels[self._lost], minlength=count)
+        loose = lost_px > 0.02 * whole_px
+        loose[0] = False
+        return loose[labels]
+
+    def shift_above(self, covered: Callable[[int], np.ndarray]) -> Move | None:
+        """From which layer on everything is displaced; None where that doesn't explain what differs."""
+        moves: list[Move] = []
+        for back in LAYERS_BACK:
+            layer = self._layer - back
+            if layer < 1 or self.stray_px < 0.2 * self.wrong_px:
+                break
+            lower = self._wanted & (self._layer_of < layer)
+            move = self._best_move(covered(layer), lower)
+            there = self.stray_px < STRAY_LEAST_PX or (move and move.of_stray_ratio >= STRAY_SHIFTED_RATIO)
+            if move and move.distance_px >= LEAST_SHIFT_PX and there:
+                moves.append(replace(move, layer=layer))
+        best = max(moves, key=lambda move: move.explained_ratio, default=None)
+        if best is None:
+            return None
+        # the first shifted layer lies on air where it sticks out, and comes in pieces
+        newest = best.layer == self._layer and best.distance_px >= 2 * LEAST_SHIFT_PX
+        if best.explained_ratio < (FIRST_SHIFTED_RATIO if newest else 1.2 * EXPLAINED_RATIO):
+            return None
+        near = [move for move in moves if move.explained_ratio >= best.explained_ratio - AS_GOOD]
+        first = min(near, key=lambda move: move.layer)
+        return first if self._others_moved(first.layer) else None
+
+    def _others_moved(self, layer: int) -> bool:
+        """Whether the other objects are out of place above that layer too, as axes that slip amid it make them."""
+        later = np.bincount(self._owner[(self._layer_of > layer) & self._all_wanted] + 1, minlength=len(self._scopes))
+        others = [one for one in self._others if later[one.object_id + 1] >= OTHERS_LEAST_PX]
+        moved = [one for one in others if one.stray_px + one.rim_px + one.lost_px >= OTHERS_MOVED_PX]
+        return 2 * len(moved) >= len(others)
+
+    def lifted_corner(self, place: Place) -> Lift | None:
+        """How a corner that rises would explain what differs best; None where that is little, or heights cannot be seen.
+
+        What lay there is pulled up, the more the farther out it lies; seen from the front that lays its foot bare, seen
+        from behind it only sticks out above. Pixels are moved by what their own place on the bed says.
+        """
+        body = self._bodies(self._lost | self.stray)
+        rows, columns = np.nonzero(body)
+        if len(rows) < 20:
+            return None
+        pixels = np.column_stack([columns, rows]).astype(float)
+        middle = pixels.mean(axis=0) + self._origin_px
+        up_px = _up_px_per_mm(place, middle)
+        if np.hypot(*up_px) < 1e-3:
+            return None
+        # affine about the middle, and linear in height: exact enough for a share of the print's width
+        at_mm = place.on_bed_mm(middle + np.array([(0, 0), (1, 0), (0, 1)]), 0.0)
+        above_mm = place.on_bed_mm(middle[None], 1.0)[0] - at_mm[0]
+        heights = np.array([0.0, *(place.layer_z_mm(n) for n in range(self._layer + 1))])
+        z_mm = heights[np.clip(self._layer_of[rows, columns] + 1, 0, self._layer + 1)]
+        bed_mm = (pixels - pixels.mean(axis=0)) @ (at_mm[1:] - at_mm[0]) + z_mm[:, None] * above_mm
+        few = _box(body, round(LIFTS_PX[-1]) + 2)
+        corner_px = np.array([few[1].start, few[0].start])
+        still, seen, counts = (mask[few] for mask in (self._wanted & ~body, self._seen, self._counts))
+        elsewhere_px = self.wrong_px - int(np.count_nonzero((self._wanted[few] ^ seen) & counts))
+        towards = (middle_of(self._lost | self.stray) - pixels.mean(axis=0)) @ (at_mm[1:] - at_mm[0])
+        best: Lift | None = None
+        for turn in np.arange(-WAYS, WAYS + 1) * WAY_RAD + np.arctan2(towards[1], towards[0]):
+            out = bed_mm @ [np.cos(turn), np.sin(turn)]
+            inmost, outmost = (np.percentile(out, share) for share in (50, 99.5))
+            share = np.clip((out - inmost) / max(outmost - inmost, 1e-6), 0, 1)
+            for bend, lift_px in product(LIFT_BENDS, LIFTS_PX):
+                risen = pixels - corner_px + (lift_px * share**bend)[:, None] * (up_px / np.hypot(*up_px))
+                there = _drawn(risen, still.shape) | still
+                left_px = elsewhere_px + int(np.count_nonzero((there ^ seen) & counts))
+                explained = 1 - left_px / max(self.wrong_px, 1)
+                if best is None or explained > best.explained_ratio:
+                    corner = pixels[np.argmax(out)] + self._origin_px
+                    best = Lift(tuple(corner), lift_px / float(np.hypot(*up_px)), lift_px, float(explained))
+        return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
+
+    def _bodies(self, differing: np.ndarray) -> np.ndarray:
+        """bool: what is expected in one piece with, or right beside, what differs."""
+        body = self._wanted & self._labelled
+        count, labels = cv2.connectedComponents(body.astype(np.uint8), connectivity=8)
+        touched = cv2.dilate(differing.astype(np.uint8), disc(4)) > 0
+        touching_px = np.bincount(labels[touched & body], minlength=count)
+        touching = touching_px > 0.2 * touching_px.max(initial=1)
+        touching[0] = False
+        return touching[labels]
+
+    def _best_move(self, part: np.ndarray, standing: np.ndarray) -> Move | None:
+        """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
+        rows, columns = np.nonzero(part)
+        if len(rows) < 20:
+            return None
+        reach = max(24, int(0.6 * max(np.ptp(rows), np.ptp(columns))))
+        pays = np.where(self._seen, 1.0, -1.0)
+        pays[standing | ~self._counts] = 0.0
+        pays = cv2.copyMakeBorder(pays.astype(np.float32), reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
+        top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
+        field = pays[top : bottom + 2 * reach, left : right + 2 * reach]
+        template = part[top:bottom, left:right].astype(np.float32)
+        score = cv2.matchTemplate(field, template, cv2.TM_CCORR)
+        _, _, _, (column, row) = cv2.minMaxLoc(score)
+        right_px, down_px = column - reach, row - reach
+        there = cv2.warpAffine(
+            part.astype(np.uint8), np.array([[1.0, 0, right_px], [0, 1.0, down_px]]), part.shape[::-1]
+        )
+        left_px = self._differing_px((there > 0) | standing)
+        stray_px = np.count_nonzero(self.stray & (cv2.dilate(there, disc(1.5)) > 0))
+        middle = middle_of(part) + self._origin_px
+        return Move(
+            tuple(middle),
+            tuple(middle + [right_px, down_px]),
+            1 - left_px / max(self.wrong_px, 1),
+            stray_px / max(self.stray_px, 1),
+        )
+
+
+def _drawn(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """bool: a mask of that shape with pixels (N, 2) that have been pulled apart a little."""
+    column, row = np.rint(pixels).astype(int).T
+    height, width = shape
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    drawn = np.zeros(shape, np.uint8)
+    drawn[row[inside], column[inside]] = 1
+    return cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
+
+
+def _box(mask: np.ndarray, margin_px: int) -> tuple[slice, slice]:
+    """Rows and columns that hold a mask's pixels, and so much more."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return slice(max(y - margin_px, 0), y + h + margin_px), slice(max(x - margin_px, 0), x + w + margin_px)
+
+
+def _up_px_per_mm(place: Place, pixel: np.ndarray) -> np.ndarray:
+    """(2,): by how much what lies on the bed at a pixel moves in the picture for each millimetre that it rises."""
+    at_mm = place.on_bed_mm(pixel + np.array([(0, 0), (1, 0), (0, 1)]), 1.0)
+    below_mm = place.on_bed_mm(pixel[None], 0.0)[0]
+    per_px = (at_mm[1:] - at_mm[0]).T
+    if abs(np.linalg.det(per_px)) < 1e-9:
+        return np.zeros(2)
+    return np.linalg.solve(per_px, below_mm - at_mm[0])
+
+
+def _turned(mask: np.ndarray, turn_deg: float) -> np.ndarray:
+    if not turn_deg or not mask.any():
+        return mask
+    x, y = middle_of(mask)
+    matrix = cv2.getRotationMatrix2D((float(x), float(y)), turn_deg, 1.0)
+    return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1]) > 0
+
+
+def middle_of(mask: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean()]) if len(rows) else np.zeros(2)
