@@ -252,11 +252,12 @@ class Inspector:
             steady.sure,
         )  # fmt: skip
         findings = find(sight, memory)
-        hidden_now = findings.hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px)
+        hidden_px = max(findings.hidden_px, findings.untold_px)
+        hidden_now = hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px)
         hidden_before = self._hidden_checks.get(moment.camera, 0)
         self._hidden_checks[moment.camera] = hidden_before + 1 if hidden_now else 0
         if hidden_now and hidden_before < HIDDEN_CHECKS:
-            alike = _unseen_and_unmissed(findings, memory)
+            alike = findings.untold_px >= findings.hidden_px and _not_seen_px(findings, memory) > 0
             return self._blind(Look(comparison, UNUSABLE, ALIKE if alike else HIDDEN), moment)
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
@@ -365,12 +366,18 @@ def _tells_apart(findings: Findings, memory: Memory, tolerance_px: float) -> boo
     return memory.drift(window, look, missing, far & ~close & findings.known & ~seen) < DRIFT_LEAST
 
 
+def _not_seen_px(findings: Findings, memory: Memory) -> int:
+    """How many pixels of what must be seen are not, where those are most; else 0."""
+    wanted = findings.wanted & findings.known & ~memory.given_up(findings.window)
+    wanted_px, seen_px = np.count_nonzero(wanted), np.count_nonzero(wanted & findings.seen)
+    return int(wanted_px - seen_px) if seen_px < SEEN_LEAST * wanted_px else 0
+
+
 def _unseen_and_unmissed(findings: Findings, memory: Memory) -> bool:
     """Whether most of what must be seen is not, and yet nothing tells that it is not there: then nothing is known of it."""
-    wanted = findings.wanted & findings.known & ~memory.given_up(findings.window)
-    wanted_px, seen_px, whole = np.count_nonzero(wanted), np.count_nonzero(wanted & findings.seen), findings.whole
+    whole = findings.whole
     missed_px = whole.lost_px + whole.stray_px + whole.unseen_px + whole.barren_px
-    return bool(seen_px < SEEN_LEAST * wanted_px and missed_px < MISSED_RATIO * (wanted_px - seen_px))
+    return missed_px < MISSED_RATIO * _not_seen_px(findings, memory)
 
 
 @dataclass(frozen=True)

@@ -83,8 +83,8 @@ def test_much_that_is_seen_no_more_though_nothing_shows_that_it_has_gone_is_hidd
     stage = Stage().printed(12)
     found = stage.look(13, walls(13), observed=wall(1, 13))
     assert found.whole.lost_px == 0
-    assert found.hidden_px > 0.3 * found.whole.standing_px
-    assert stage.look(14, walls(14)).hidden_px == 0
+    assert found.untold_px > 0.3 * found.whole.standing_px
+    assert stage.look(14, walls(14)).untold_px == 0
 
 
 def test_layers_that_are_shifted_are_not_a_camera_that_moved():

@@ -118,8 +118,9 @@ class Findings:
     wanted : expected now; look : (3, h, w) uint8, the frame aligned, as the memory keeps it; seen, known : observed, and
     what can be said anything of, aligned; standing : matter seen in earlier checks; lost, stray : see the module;
     unseen : fresh matter of the last layers that is not seen; hidden_px : so much of what stood there looks neither like
-    matter nor like the bare bed now; loose : matter that has grown from what the user went on with; moved_px : by how
-    much the whole picture has just moved
+    matter nor like the bare bed now; untold_px : a good part of what stood is not seen, so much of it, and nothing bears out
+    that it has gone, 0 where less; loose : matter that has grown from what the user went on with; moved_px : by how much
+    the whole picture has just moved
     """
 
     window: Window
@@ -132,6 +133,7 @@ class Findings:
     stray: np.ndarray
     unseen: np.ndarray
     hidden_px: int
+    untold_px: int
     scopes: tuple[Evidence, ...]
     loose: np.ndarray
     moved_px: float = 0.0
@@ -286,7 +288,9 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
     )
-    return Findings(window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, scopes, loose)
+    return Findings(
+        window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, untold_px, scopes, loose
+    )
 
 
 def _could_have_come(stray: np.ndarray, laid_px: float, lost_px: int) -> np.ndarray:
