@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import cv2
 import numpy as np
 import pytest
 
@@ -32,11 +33,13 @@ class FlatPlace:
         return 0.2 * (layer + 1)
 
 
-def named(layer: int, matter: np.ndarray, object_id: int = WHOLE, good_upto: int = 20):
+def named(layer: int, matter: np.ndarray, object_id: int = WHOLE, good_upto: int = 20, place: FlatPlace | None = None):
     stage = Stage().printed(good_upto)
     sight = stage.sight(layer, matter)
     surprises = (Surprise("all", 9.0), Surprise("lost", 9.0), Surprise("stray", 9.0), Surprise("fresh", 9.0))
-    return diagnose(Outcome(object_id, FAILED, surprises, 9.0), find(sight, stage.memory), sight, FlatPlace(layer))
+    return diagnose(
+        Outcome(object_id, FAILED, surprises, 9.0), find(sight, stage.memory), sight, place or FlatPlace(layer)
+    )
 
 
 @pytest.mark.parametrize(("right", "way"), [(12, "right"), (-16, "left")])
@@ -46,6 +49,22 @@ def test_what_lies_above_a_layer_and_is_displaced_is_a_layer_shift_with_its_dist
     assert (
         found.sentence == f"Everything above layer 21 is shifted by about {abs(right) / PX_PER_MM:.0f} mm to the {way}."
     )
+
+
+def test_a_first_shifted_layer_is_told_by_its_own_pattern_of_lines_though_perspective_has_stretched_it():
+    lines = np.zeros(SHAPE, bool)
+    lines[130:170, 90:150:8] = lines[130:170, 91:151:8] = True
+    lines[130:170:19, 90:150] = lines[131:171:19, 90:150] = True
+
+    class OfLines(FlatPlace):
+        def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+            return np.where(lines, np.uint8(255), np.uint8(0))
+
+    stretched = np.float32([[1.1, 0, -32 - 0.1 * 90], [0, 1.1, -0.1 * 150]])
+    beside = cv2.warpAffine(lines.astype(np.uint8), stretched, SHAPE[::-1]) > 0
+    found = named(22, walls(22) | beside, place=OfLines(22))
+    assert found.mode == "layer_shift"
+    assert "to the left" in found.sentence and millimetres(found.sentence) == pytest.approx(32 / PX_PER_MM, abs=0.6)
 
 
 def test_a_wall_that_moved_as_a_whole_has_come_off():

@@ -27,6 +27,7 @@ STRAY_LEAST_PX, STRAY_SHIFTED_RATIO = (
     30,
     0.15,
 )  # of the stray matter must lie where a shift would put it, were all else a clog's doing
+LIKE_RATIO = 0.84  # from which on what lies beside the print is the newest layers' own pattern
 WAYS, WAY_RAD = 3, np.radians(22.5)  # to either side of where the difference lies
 OTHERS_LEAST_PX, OTHERS_MOVED_PX = 20, 6
 
@@ -81,6 +82,7 @@ class Scope:
         self._origin_px = np.array([window[1].start, window[0].start], float)
         self._layer, self._layer_of = sight.layer, print_map.layer[window]
         self._owner, self._all_wanted, self._scopes = print_map.owner[window], findings.wanted, findings.scopes
+        self._whole = object_id == WHOLE
         self._others = [one for one in findings.scopes if one.object_id not in (WHOLE, object_id)]
         self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
         self._lost, self._unseen = findings.lost & inside, findings.unseen & inside
@@ -165,15 +167,43 @@ class Scope:
             if move and move.distance_px >= LEAST_SHIFT_PX and there:
                 moves.append(replace(move, layer=layer))
         best = max(moves, key=lambda move: move.explained_ratio, default=None)
-        if best is None:
-            return None
         # the first shifted layer lies on air where it sticks out, and comes in pieces
-        newest = best.layer == self._layer and best.distance_px >= 2 * LEAST_SHIFT_PX
-        if best.explained_ratio < (FIRST_SHIFTED_RATIO if newest else 1.2 * EXPLAINED_RATIO):
-            return None
+        newest = best is not None and best.layer == self._layer and best.distance_px >= 2 * LEAST_SHIFT_PX
+        if best is None or best.explained_ratio < (FIRST_SHIFTED_RATIO if newest else 1.2 * EXPLAINED_RATIO):
+            return self._alike(covered)
         near = [move for move in moves if move.explained_ratio >= best.explained_ratio - AS_GOOD]
         first = min(near, key=lambda move: move.layer)
         return first if self._others_moved(first.layer) else None
+
+    def _alike(self, covered: Callable[[int], np.ndarray]) -> Move | None:
+        """How the newest layers are displaced, where what lies beside the print is their own pattern of lines, in which the
+        picture shows gaps; None where it is not.
+
+        The lines' own likeness tells, not how much they explain: of what sticks out, the share that is seen, and of what
+        is seen, the share that a shift would put there (the harmonic mean of both).
+        """
+        if (self._others and not self._whole) or self.stray_px < STRAY_LEAST_PX:
+            return None
+        mute = (cv2.dilate(self._wanted.view(np.uint8), disc(2)) > 0) | self._foreign
+        stray = cv2.dilate(self.stray.view(np.uint8), disc(1))
+        pays = np.where(mute, np.float32(0), np.where(stray > 0, np.float32(1), np.float32(-1)))
+        best: Move | None = None
+        for layer in range(self._layer, max(self._layer - 4, 0), -1):
+            part = covered(layer)
+            if np.count_nonzero(part) < 20:
+                continue
+            offset = _best_place(part, pays)
+            there = cv2.warpAffine(
+                part.astype(np.uint8), np.array([[1.0, 0, offset[0]], [0, 1.0, offset[1]]]), part.shape[::-1]
+            )
+            out, near = (there > 0) & ~mute, cv2.dilate(there, disc(1.5)) > 0
+            seen = np.count_nonzero(out & (stray > 0)) / max(np.count_nonzero(out), 1)
+            told = np.count_nonzero(self.stray & ~mute & near) / max(np.count_nonzero(self.stray & ~mute), 1)
+            like = 2 * seen * told / max(seen + told, 1e-6)
+            if like >= LIKE_RATIO and (best is None or like > best.explained_ratio):
+                middle = middle_of(part) + self._origin_px
+                best = Move(tuple(middle), tuple(middle + offset), like, told, layer)
+        return best
 
     def _others_moved(self, layer: int) -> bool:
         """Whether the other objects are out of place above that layer too, as axes that slip amid it make them."""
@@ -235,19 +265,11 @@ class Scope:
 
     def _best_move(self, part: np.ndarray, standing: np.ndarray) -> Move | None:
         """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
-        rows, columns = np.nonzero(part)
-        if len(rows) < 20:
+        if np.count_nonzero(part) < 20:
             return None
-        reach = max(24, int(0.6 * max(np.ptp(rows), np.ptp(columns))))
-        pays = np.where(self._seen, 1.0, -1.0)
+        pays = np.where(self._seen, np.float32(1), np.float32(-1))
         pays[standing | ~self._counts] = 0.0
-        pays = cv2.copyMakeBorder(pays.astype(np.float32), reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
-        top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
-        field = pays[top : bottom + 2 * reach, left : right + 2 * reach]
-        template = part[top:bottom, left:right].astype(np.float32)
-        score = cv2.matchTemplate(field, template, cv2.TM_CCORR)
-        _, _, _, (column, row) = cv2.minMaxLoc(score)
-        right_px, down_px = column - reach, row - reach
+        right_px, down_px = _best_place(part, pays)
         there = cv2.warpAffine(
             part.astype(np.uint8), np.array([[1.0, 0, right_px], [0, 1.0, down_px]]), part.shape[::-1]
         )
@@ -260,6 +282,17 @@ class Scope:
             1 - left_px / max(self.wrong_px, 1),
             stray_px / max(self.stray_px, 1),
         )
+
+
+def _best_place(part: np.ndarray, pays: np.ndarray) -> tuple[int, int]:
+    """(right, down) in pixels: where the mask `part` would cover most of what `pays`, float32; outside nothing does."""
+    x, y, w, h = cv2.boundingRect(part.view(np.uint8))
+    reach = max(24, int(0.6 * max(w, h)))
+    pays = cv2.copyMakeBorder(pays, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
+    field = pays[y : y + h + 2 * reach, x : x + w + 2 * reach]
+    score = cv2.matchTemplate(field, part[y : y + h, x : x + w].astype(np.float32), cv2.TM_CCORR)
+    column, row = cv2.minMaxLoc(score)[3]
+    return column - reach, row - reach
 
 
 def _drawn(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
