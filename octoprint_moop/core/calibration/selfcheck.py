@@ -17,7 +17,7 @@ from ..toolpath import Toolpath
 from .refine import Refinement, SilhouetteEdges, SilhouetteView, refine_camera, silhouette_edges
 
 JUDGED_FROM = 4  # good checks; and again whenever there are twice as many
-EVERY_UNTIL = 8  # good checks of which each is asked
+EVERY_UNTIL, LATER_EVERY = 8, 4  # good checks of which each is asked; and how many of the next it is one of
 CORRECTED_UNTIL = 16  # good checks
 KEPT_LAYERS = 6
 BAND_PER_ERROR = 2.5  # an edge that is off by so many times the usual is off as 1 in 100 would be
@@ -48,8 +48,8 @@ class SelfCheck:
         """A better camera to go on with, where it is safe to take one; else None."""
         self._good_checks += 1
         count = self._good_checks
-        if count > EVERY_UNTIL and count % (count // (EVERY_UNTIL // 2)):  # later, layers further apart say more
-            return None
+        if count > EVERY_UNTIL and count % max(LATER_EVERY, 1 << (count.bit_length() - 3)):
+            return None  # later, layers further apart say more
         self._layers = [*self._layers, silhouette_edges(self.camera, self._toolpath, view)][-KEPT_LAYERS:]
         if count < JUDGED_FROM or count & (count - 1):
             return None
