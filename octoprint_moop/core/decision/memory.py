@@ -190,9 +190,11 @@ class Memory:
         ):
             few = about(where)
             first, mask = (where & ~has)[few].view(np.uint8), np.ascontiguousarray(where[few]).view(np.uint8)
+            some_first = first.any()
             for plane, now in zip(kept, look):
                 plane, now = plane[window][few], now[few]
-                cv2.copyTo(now, first, plane)
+                if some_first:
+                    cv2.copyTo(now, first, plane)
                 cv2.copyTo(cv2.addWeighted(now, LOOK_NEWEST, plane, 1 - LOOK_NEWEST, 0), mask, plane)
             has |= where
         self._forget_compared()
