@@ -47,7 +47,7 @@ class MoopApi(BlueprintPlugin):
     @BlueprintPlugin.route("/checks", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)
     def get_checks(self) -> Any:
-        return flask.jsonify(checks=self._ledger.checks)
+        return flask.Response(self._ledger.checks_json, mimetype="application/json")
 
     @BlueprintPlugin.route("/checks/<int:check_id>/<kind>", methods=["GET"])
     @Permissions.PLUGIN_MOOP_VIEW.require(403)

@@ -6,6 +6,7 @@ are imported by it.
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import cv2
@@ -189,7 +190,7 @@ def mesh(blobs: list[bytes], mesh: dict[str, Any], job: str | None) -> Answer:
 def replay(
     blobs: list[bytes], recording: str, material: dict[str, Any], settings: dict[str, Any], masks: str
 ) -> Answer:
-    """What would have been concluded from a recording with these settings and this filament: checks and a summary.
+    """What would have been concluded from a recording with these settings and this filament: JSON, checks and a summary.
 
     masks : a folder for the masks of each check: 12.seen.png, 12.expected.png, 12.ignored.png. They do not depend on the
     sensitivity: those that are there stay where nothing else has changed.
@@ -225,7 +226,7 @@ def replay(
                         Path(masks, f"{number}.{kind}.png").write_bytes(encode_mask(mask))
         drawn_for.write_text(key)
     lines = [{**check.to_json(), "id": number} for number, check in enumerate(checks)]
-    return {"checks": lines, "summary": Summary.of(checks).to_json()}, []
+    return {}, [json.dumps({"checks": lines, "summary": Summary.of(checks).to_json()}).encode()]
 
 
 QUESTIONS = {

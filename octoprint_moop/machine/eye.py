@@ -235,6 +235,8 @@ def _pack(source: IO[bytes], packed: Path) -> None:
 
 def _step_back() -> None:
     """The printer, the server and the camera come first; when memory runs out, the eye is what should go."""
+    with contextlib.suppress(AttributeError, OSError):  # a server that runs in real time hands that on
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if hasattr(os, "nice"):
         os.nice(10)
     with contextlib.suppress(OSError):

@@ -6,6 +6,7 @@ no lock.
 
 from __future__ import annotations
 
+import json
 import time
 from collections import OrderedDict
 from typing import Any, Callable
@@ -25,6 +26,7 @@ class Ledger:
     def __init__(self, tell: Tell, version: str) -> None:
         self._tell = tell
         self._checks: tuple[dict[str, Any], ...] = ()
+        self._checks_json: tuple[bytes, ...] = ()
         self._pictures: OrderedDict[int, dict[str, bytes]] = OrderedDict()
         self._checked_s = 0.0
         self._status: dict[str, Any] = {
@@ -49,6 +51,12 @@ class Ledger:
         return self._checks
 
     @property
+    def checks_json(self) -> bytes:
+        """{"checks": [...]}. Each check was written once: writing ten thousand at a time would keep the interpreter's
+        lock, and with it the printer, for as long as that takes."""
+        return b'{"checks": [%s]}' % b", ".join(self._checks_json)
+
+    @property
     def age_s(self) -> float:
         """Since the last check."""
         return time.monotonic() - self._checked_s
@@ -61,6 +69,7 @@ class Ledger:
 
     def begin(self, job: str) -> None:
         self._checks, self._pictures, self._checked_s = (), OrderedDict(), time.monotonic()
+        self._checks_json = ()
         self.note(
             blind="The G-code is being read.", blind_code=blindness.READING, job=job, layer=None, layers=None, checks=0,
             last_check=None, action="none", reason="", held_s=0.0,
@@ -102,6 +111,7 @@ class Ledger:
         self._checked_s = time.monotonic()
         check = {**check, "id": len(self._checks), "held_s": round(held_s, 3)}
         self._checks = (*self._checks, check)
+        self._checks_json = (*self._checks_json, json.dumps(check).encode())
         self._pictures[check["id"]] = pictures
         while len(self._pictures) > KEPT_PICTURES:
             self._pictures.popitem(last=False)
