@@ -24,6 +24,7 @@ from . import (
     eye_memory,
     gcode,
     host_stall,
+    large_at_once,
     render,
     roads,
     segmentation_table,
@@ -64,7 +65,10 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
         "fresh": lambda: detection.rules_table(rows("detection-fresh")),
         "traced": lambda: traced_score.table(rows("traced")),
     },
-    "faults.md": {"endurance": lambda: endurance.as_table(figures("endurance"))},
+    "faults.md": {
+        "endurance": lambda: endurance.as_table(figures("endurance")),
+        "large_at_once": lambda: large_at_once.as_table(figures("large_at_once")),
+    },
     "rendering.md": {
         "slicers": lambda: slicers.as_table(figures("slicers")["files"]),
         "gcode": lambda: gcode.as_tables(figures("gcode")),

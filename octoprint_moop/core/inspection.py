@@ -165,6 +165,12 @@ class Inspector:
         """
         return self._view(moment).take_reference(frame_bgr, moment)
 
+    def draw_ahead(self) -> None:
+        """Draw what the first camera's first look will need: some seconds for millions of beads, which need not pass
+        while a printer waits. Raises RenderError."""
+        if len(self._toolpath):
+            self._view(Moment("", 0, 0, (0.0, 0.0, 0.0))).draw_ahead()
+
     def accept(self) -> None:
         """The user goes on with the print as it is: what the last check saw is the new baseline, only what changes
         from there on is a failure."""

@@ -53,7 +53,7 @@ class Settings:
     on_blind: str = choice(
         "none", MILD_ACTIONS, "What to do when a print that should be watched could not be for a while."
     )
-    blind_min: float = number(10.0, 0.5, 1440.0, "min", "How long that while is.")
+    blind_min: float = number(10.0, 0.1, 1440.0, "min", "How long that while is.")
     segmentation: str = choice(
         "adaptive",
         SEGMENTATIONS,

@@ -23,6 +23,7 @@ class Role(IntEnum):
 
 
 NO_OBJECT = -1
+_AT_ONCE = 1 << 19  # beads, of what is mapped from a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,5 +98,11 @@ class Toolpath:
     def _bounds_mm(self) -> np.ndarray:
         if not len(self):
             return np.zeros((2, 3))
-        low, high = self.beads_mm.min(axis=0), self.beads_mm.max(axis=0)
+        lows, highs = [], []
+        for first in range(0, len(self), _AT_ONCE):
+            beads = self.beads_mm[first : first + _AT_ONCE]
+            lows.append(beads.min(axis=0))
+            highs.append(beads.max(axis=0))
+            self.let_go()
+        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
         return np.stack([np.minimum(low[:3], low[3:6]), np.maximum(high[:3], high[3:6])]).astype(np.float64)

@@ -21,10 +21,15 @@ READING_S = 90.0
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """A file that is to be read. unwanted : set where something else comes first."""
+    """A file that is to be read.
+
+    unwanted : set where something else comes first
+    printed  : set before that where it is this file's own print, for which it goes on being read
+    """
 
     path: str
     unwanted: threading.Event = field(default_factory=threading.Event)
+    printed: threading.Event = field(default_factory=threading.Event)
 
     def stamp(self) -> tuple[str, float, int]:
         """What changes when the file does; all of it zero where there is no such file."""
@@ -52,10 +57,11 @@ class Reading:
         return ahead
 
     def make_way(self, path: str | None) -> None:
-        """This file is printed now: no other one is to be read before it."""
+        """This file is printed now: no other one is to be read before it, and nobody waits for it but its print."""
         for ahead in tuple(self._waiting):
-            if ahead.path != path:
-                ahead.unwanted.set()
+            if ahead.path == path:
+                ahead.printed.set()
+            ahead.unwanted.set()
 
     def read(self, ahead: Ahead) -> None:
         """Read it, unless it was just read. An error is left for the print to tell."""
@@ -70,7 +76,8 @@ class Reading:
             self._last = stamp
             self._ledger.note(renderer=result["renderer"])
         except Interrupted:
-            self._eye.close()  # it would go on reading
+            if not ahead.printed.is_set():
+                self._eye.close()  # it would go on reading
         except MoopError as error:
             log.info("%s: %s", ahead.path, error)
         finally:

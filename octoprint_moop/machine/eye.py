@@ -94,8 +94,8 @@ class Eye:
         recording : a recording's folder, to learn again what was known of this print before the eye was restarted
         said      : what the user said after which of its frames: `accept` or `pardon`
         Answers road (gcode, mesh or height), layers, ends (file position of each layer's end; none by height),
-        bare_ends (positions at which nothing lies yet), bounds_mm, objects, cancel_commands, modes (at each of all these
-        positions), notes, renderer.
+        bare_ends (positions at which nothing lies yet), bounds_mm, objects, cancel_commands, modes (each once) and mode_of
+        (which of them holds at each of all these positions), notes, renderer.
         """
         path = None if job is None else Path(job)
         road = find_road(path, None if mesh is None else MeshChoice.from_json(mesh), Path(cache), self._progress)
@@ -114,11 +114,13 @@ class Eye:
         if road.solid is not None and keep_mesh_as:
             with contextlib.suppress(OSError):  # a full disk costs the recording, never the check
                 Path(keep_mesh_as).write_bytes(road.solid.stl())
+        kinds = {one: number for number, one in enumerate(dict.fromkeys(modes))}
         reference = decode(blobs[0]) if blobs else None
         self._road, self._job = road, path
         self._inspector = Inspector(
             Header.from_json(header), toolpath, road.drawn_by(self._draw()), read_settings(settings), reference
         )
+        self._inspector.draw_ahead()
         if recording:
             self._learn_again(Recording.open(recording), said or {})
         answer = {
@@ -129,7 +131,9 @@ class Eye:
             "bounds_mm": toolpath.bounds_mm().tolist(),
             "objects": list(toolpath.objects),
             "cancel_commands": list(toolpath.cancel_commands),
-            "modes": [one.to_json() for one in modes],
+            # an object for each layer would have the server's garbage collector stop all of its threads for a while
+            "modes": [one.to_json() for one in kinds],
+            "mode_of": [kinds[one] for one in modes],
             "notes": list(road.notes),
             "renderer": self._draw().name,
         }
@@ -235,8 +239,8 @@ def _pack(source: IO[bytes], packed: Path) -> None:
 
 def _step_back() -> None:
     """The printer, the server and the camera come first; when memory runs out, the eye is what should go."""
-    with contextlib.suppress(AttributeError, OSError):  # a server that runs in real time hands that on
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with contextlib.suppress(AttributeError, OSError):  # and never in the server's place when it wakes
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     if hasattr(os, "nice"):
         os.nice(10)
     with contextlib.suppress(OSError):

@@ -207,6 +207,7 @@ class GlRenderer:
             self._beads.render(moderngl.TRIANGLE_STRIP, vertices=6, instances=len(drawn))
             if self.software:  # which otherwise keeps what it has not drawn yet in memory
                 self._context.finish()
+            toolpath.let_go()
         return self._finish(frame, camera)
 
     def solid_map(self, solid: Solid, camera: Camera, room_from_print_mm: np.ndarray) -> np.ndarray:

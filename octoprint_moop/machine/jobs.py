@@ -17,6 +17,8 @@ from .recorder import Recorder
 HEAD_MM = 40.0
 """As far around the nozzle the head may cover what lies below."""
 EDGE_MM = 2.0
+REST_TIMES = 9.0
+"""So many times as long as a look in vain has held the print up it is left alone, from the second such look in a row on."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Print:
     modes           : what the file has set at each of these
     reference       : the empty bed, JPEG, and what a header says of it; empty where it was not seen
     strange         : how often in a row the printer stood where its file has no bead's end
+    in_vain         : looks in a row that came to nothing
+    rest_until_s    : no look before that (monotonic)
     """
 
     job: Job
@@ -69,6 +73,8 @@ class Print:
     revivals: int = 0
     last_pos: float = -1
     strange: int = 0
+    in_vain: int = 0
+    rest_until_s: float = 0.0
     looked_s: float | None = None
     last_jpeg: bytes = b""
     frames: int = 0
@@ -112,6 +118,12 @@ class Print:
         x = left + width - EDGE_MM if near_left and not near_right else left + EDGE_MM
         moving = printer["bed_motion"] == "y"
         return x, printer["bed_reference_mm"]["y"] if moving else front + depth - EDGE_MM
+
+    def looked_in_vain(self, held_s: float) -> None:
+        """A webcam or a printer that does not answer costs its time limit: not at every layer, that would be hours."""
+        self.in_vain += 1
+        if self.in_vain > 1:
+            self.rest_until_s = time.monotonic() + REST_TIMES * held_s
 
     @property
     def by_clock(self) -> bool:

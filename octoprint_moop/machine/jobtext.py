@@ -14,6 +14,7 @@ from typing import IO, Union
 
 Text = Union[bytes, mmap.mmap]
 _BLOCK_BYTES = 1 << 20
+_STRETCH_BYTES = 16 << 20
 
 
 @contextlib.contextmanager
@@ -33,6 +34,17 @@ def job_text(job: Path) -> Iterator[Text]:
             yield b""
             return
         yield stack.enter_context(contextlib.closing(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
+
+
+def stretches(text: Text) -> Iterator[tuple[int, int]]:
+    """(begin, end) of one stretch after the other, each from a line's end to another; what is mapped of it is let go then."""
+    begin = 0
+    while 0 <= begin < len(text):
+        end = text.find(b"\n", begin + _STRETCH_BYTES)
+        yield begin, len(text) if end < 0 else end
+        if isinstance(text, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            text.madvise(mmap.MADV_DONTNEED)
+        begin = end
 
 
 def _is_utf8(file: IO[bytes]) -> bool:

@@ -42,7 +42,16 @@ class _Question:
     blobs: Sequence[bytes]
     answered: threading.Event = field(default_factory=threading.Event)
     answer: tuple[dict[str, Any], list[bytes]] | None = None  # None once answered: the eye has gone
-    progress: float | None = None
+
+
+@dataclass(frozen=True)
+class _Owed:
+    """A question whose answer nobody waits for any more, and what it would have been given up by."""
+
+    question: _Question
+    began_s: float
+    timeout_s: float
+    tells: bool
 
 
 class EyeLink:
@@ -70,8 +79,8 @@ class EyeLink:
     ) -> tuple[dict[str, Any], list[bytes]]:
         """The eye's answer: JSON and bytes.
 
-        progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it; the time
-        allowed begins anew with each
+        progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it, be it of what
+        it was asked before; the time allowed begins anew with each
         birth : ask this process and no later one, for a question about what only it knows
         Raises the eye's own MoopError; EyeGone where it dies, is ended for taking longer than `timeout_s`, or is not
         the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
@@ -88,15 +97,15 @@ class EyeLink:
             self._next_id += 1
             question = _Question({"id": self._next_id, "do": do, "arguments": arguments}, blobs)
         child.questions.put(question)
-        deadline_s, told = time.monotonic() + timeout_s, None
+        began_s, told = time.monotonic(), None
         while not question.answered.wait(0.02 if interrupted is not None else min(0.5, timeout_s)):
             if interrupted is not None and interrupted.is_set():
-                child.owed = [(question, deadline_s), *child.owed]
+                child.owed = [_Owed(question, began_s, timeout_s, progress is not None), *child.owed]
                 raise Interrupted(f"Nobody waits any more for the answer to {do!r}.")
-            if progress is not None and question.progress != told:
-                told, deadline_s = question.progress, time.monotonic() + timeout_s
+            if progress is not None and child.progress not in (None, told):
+                told = child.progress
                 progress(told or 0.0)
-            if time.monotonic() > deadline_s:
+            if child.is_due(began_s, timeout_s, progress is not None):
                 child.kill()
                 raise EyeGone(f"Looking took longer than {timeout_s:.0f} s and was given up.")
             if child.is_late:
@@ -136,8 +145,9 @@ def _result(do: str, head: dict[str, Any], blobs: list[bytes]) -> tuple[dict[str
 class _Child:
     """One life of the process, with the thread that writes its questions and reads its answers, one after the other.
 
-    owed : questions whose answers nobody waits for any more, and when they are due; an eye that hangs on one of them
-    would keep all later ones waiting
+    owed     : questions whose answers nobody waits for any more; an eye that hangs on one of them would keep all later
+    ones waiting
+    progress : the ratio done that the eye told last of what it does, None where it has told none
     """
 
     def __init__(self, module: str) -> None:
@@ -153,7 +163,9 @@ class _Child:
         self.pid = self._process.pid
         self._given_up = False
         self.questions: queue.SimpleQueue[_Question | None] = queue.SimpleQueue()
-        self.owed: list[tuple[_Question, float]] = []
+        self.owed: list[_Owed] = []
+        self.progress: float | None = None
+        self._told_s = 0.0
         threading.Thread(target=self._converse, name="moop.eye", daemon=True).start()
 
     @property
@@ -161,10 +173,14 @@ class _Child:
         """Whether it runs and is to be asked: it may have been killed (out of memory) while nobody asked it anything."""
         return not self._given_up and self._process.poll() is None
 
+    def is_due(self, began_s: float, timeout_s: float, tells: bool) -> bool:
+        """Whether a question that was asked then has had its time. tells : each word of progress gives it more."""
+        return time.monotonic() > (max(began_s, self._told_s) if tells else began_s) + timeout_s
+
     @property
     def is_late(self) -> bool:
-        self.owed = [(question, due_s) for question, due_s in self.owed if not question.answered.is_set()]
-        return any(time.monotonic() > due_s for _, due_s in self.owed)
+        self.owed = [owed for owed in self.owed if not owed.question.answered.is_set()]
+        return any(self.is_due(owed.began_s, owed.timeout_s, owed.tells) for owed in self.owed)
 
     def kill(self) -> None:
         self._given_up = True
@@ -193,8 +209,9 @@ class _Child:
                 while head.get("id") != question.head["id"]:
                     head, blobs = receive(self._process.stdout)
                     if "progress" in head:
-                        question.progress = head["progress"]
+                        self.progress, self._told_s = head["progress"], time.monotonic()
                         head = {}
+                self.progress = None
                 question.answer = (head, blobs)
                 question.answered.set()
         except (EOFError, OSError):

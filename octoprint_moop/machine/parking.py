@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .jobtext import Text
+from .jobtext import Text, stretches
 
 # a line's end first: regular expressions look for what they begin with many times faster than for anything else
 _MODES = tuple(re.compile(b"\n(" + words + rb")(?![\d.])") for words in (b"G9[01]", b"M8[23]", b"G2[01]"))
@@ -79,7 +79,10 @@ def read_modes(text: Text, ends: Sequence[int]) -> list[Modes]:
     """
     begin = _AT_BEGIN.match(text)
     words = [(0, begin.group(1))] if begin else []
-    words += sorted((match.start(1), match.group(1)) for mode in _MODES for match in mode.finditer(text))
+    for first, last in stretches(text):
+        words += sorted(
+            (match.start(1), match.group(1)) for mode in _MODES for match in mode.finditer(text, first, last)
+        )
     del begin  # which holds on to a mapped text
     found: list[Modes] = []
     relative = inches = e_if_g90_counts = e_if_not = False

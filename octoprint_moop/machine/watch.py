@@ -205,8 +205,8 @@ class Watch:
         current.born, current.ready, current.by_height = self._eye.births, True, result["road"] == "height"
         current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
         current.bare_ends = result["bare_ends"]
-        modes = map(Modes.from_json, result["modes"])
-        current.modes = dict(zip([*current.bare_ends, *current.ends], modes))
+        kinds = [Modes.from_json(kind) for kind in result["modes"]]
+        current.modes = dict(zip([*current.bare_ends, *current.ends], (kinds[number] for number in result["mode_of"])))
         for note in result["notes"]:
             log.info("%s: %s", current.job.name, note)
         if not again:
@@ -253,7 +253,7 @@ class Watch:
                 else:
                     current.looked_s = hold.since_s
                     looks = self._looks.check(current, hold, self._settings)
-                    current.last_pos = hold.file_pos
+                    current.last_pos, current.in_vain = hold.file_pos, 0
                     self.responder.to_check(looks[-1].check, self._settings)
         except Interrupted as error:
             log.info("%s was not checked: %s", _named(hold), hold.dropped or error)
@@ -262,6 +262,8 @@ class Watch:
         except MoopError as error:
             log.warning("%s was not checked: %s", _named(hold), error)
             self._ledger.blind(error.code, str(error))
+            if current is not None:
+                current.looked_in_vain(time.monotonic() - hold.since_s)
         except Exception as error:
             log.exception("%s was not checked", _named(hold))
             self._ledger.blind(blindness.BUG, f"Checking failed ({type(error).__name__}). The log has the details.")
@@ -311,7 +313,9 @@ class Watch:
         if current.switched_off or current.job.over.is_set() or self._print is not current:
             return
         settings = self._settings
-        not_before_s = 0.0 if current.looked_s is None else current.looked_s + settings.min_interval_s
+        not_before_s = current.rest_until_s
+        if current.looked_s is not None:
+            not_before_s = max(not_before_s, current.looked_s + settings.min_interval_s)
         every_layers = 0 if settings.capture == "slicer" else settings.every_layers
         bare_ends = current.bare_ends if not current.reference else ()
         self.holds.plan(current.ends, every_layers, current.last_pos, not_before_s, bare_ends)
@@ -350,6 +354,8 @@ class Watch:
     def _look_by_clock(self, current: Print) -> None:
         since_s = current.began_s if current.looked_s is None else current.looked_s
         longest_s = self._settings.longest_s or BY_CLOCK_S
+        if time.monotonic() < current.rest_until_s:
+            return
         if time.monotonic() - since_s > min(longest_s, BY_CLOCK_S) and not (current.switched_off or self._paused):
             self._look_anywhere(current)
 
@@ -413,7 +419,7 @@ class Watch:
         current = self._print
         if current is None or current.job.header is None or (current.job.path is None and current.mesh is None):
             return
-        current.switched_off = not watching
+        current.switched_off, current.in_vain, current.rest_until_s = not watching, 0, 0.0
         if not watching:
             self.holds.plan_none()
             self._ledger.blind(blindness.OFF_FOR_PRINT, "Watching was switched off for this print.")

@@ -32,12 +32,25 @@ WIDTH, HEIGHT = 640, 480
 FILAMENT_BGR = (20, 120, 240)
 
 
-def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3, height_mm: float = 0.3) -> str:
-    """A box of solid layers, drawn in few long moves; relative extrusion, no comments that name layers."""
+SLOWLY = 9000
+"""mm/min at which a layer of the box takes the virtual printer some tenths of a second."""
+
+
+def box_gcode(
+    layers: int = 12,
+    side_mm: float = 30.0,
+    lines_per_side: int = 3,
+    height_mm: float = 0.3,
+    feed_mm_min: int = 60_000,
+) -> str:
+    """A box of solid layers, drawn in few long moves; relative extrusion, no comments that name layers.
+
+    feed_mm_min : SLOWLY where something is to be done while it is printed
+    """
     out = ["G21", "G90", "M83", "G28", "M104 S200"]
     x0 = y0 = 100 - side_mm / 2
     for layer in range(layers):
-        z = height_mm * (layer + 1)
+        z, feed = height_mm * (layer + 1), feed_mm_min if layer else SLOWLY  # so that nobody misses the first
         out.append(f"G1 X{x0:.3f} Y{y0:.3f} Z{z:.3f} F12000")
         rows = int(side_mm / 0.8)
         for row in range(rows):
@@ -46,7 +59,7 @@ def box_gcode(layers: int = 12, side_mm: float = 30.0, lines_per_side: int = 3, 
             out.append(f"G1 X{x_from:.3f} Y{y:.3f} F12000")
             for part in range(1, lines_per_side + 1):
                 x = x_from + (x_to - x_from) * part / lines_per_side
-                out.append(f"G1 X{x:.3f} Y{y:.3f} E{side_mm / lines_per_side * 0.8 * 0.3 / 2.405:.5f} F9000")
+                out.append(f"G1 X{x:.3f} Y{y:.3f} E{side_mm / lines_per_side * 0.8 * 0.3 / 2.405:.5f} F{feed}")
     out += ["G1 Z60 F3000", "M104 S0", "G1 X0 Y190 F9000"]
     return "\n".join(out) + "\n"
 
@@ -207,7 +220,9 @@ class Room:
             settings={"plugins": {"moop": moop, "classicwebcam": {"snapshotTimeout": 3}}},
         )  # fmt: skip
         self.webcam.file_pos = self.sent_pos
-        self._sent_from = self._prints = 0
+        self._sent_from = self._prints = self._sent_read = 0
+        self._sent: list[str] = []
+        self._sent_lock = threading.Lock()
         self._stored = False
 
     def __enter__(self) -> Room:
@@ -347,8 +362,16 @@ class Room:
         return 0
 
     def _sent_lines(self) -> list[str]:
+        """All that the server has sent since it was made; asked for by the webcam's threads, too."""
         path = self.server.basedir / "data" / "spy" / "sent.jsonl"
-        return path.read_text().splitlines() if path.exists() else []
+        with self._sent_lock:
+            if path.exists():
+                with path.open() as file:
+                    file.seek(self._sent_read)
+                    whole, newline, _ = file.read().rpartition("\n")
+                self._sent += whole.splitlines()
+                self._sent_read += len(whole + newline)  # JSON in ASCII
+            return list(self._sent)
 
 
 def _ours(tags: set[str]) -> bool:

@@ -4,7 +4,6 @@ print for pictures of its own where a test wants that, and gives the virtual pri
 import json
 import os
 import threading
-import time
 
 import octoprint.plugin
 from octoprint.schema.webcam import Webcam
@@ -69,19 +68,33 @@ class Spy(octoprint.plugin.SimpleApiPlugin, octoprint.plugin.WebcamProviderPlugi
         self._sent.write(json.dumps([cmd, sorted(tags or ())]) + "\n")
 
     def on_queuing(self, comm, phase, cmd, cmd_type, gcode, subcode=None, tags=None, *args, **kwargs):
-        """As plugins for timelapses do: hold, take a picture, let go."""
-        if self._stabilises and " Z" in cmd and self._printer.set_job_on_hold(True, blocking=False):
-            threading.Thread(target=self._snap, daemon=True).start()
+        """As Octolapse does: hold, swallow the line, go aside, take a picture, come back, send the line, let go."""
+        ours = not tags or "source:file" not in tags
+        if ours or not self._stabilises or " Z" not in cmd or not self._printer.set_job_on_hold(True, blocking=False):
+            return None
+        self._stood = threading.Event()
+        threading.Thread(target=self._snap, args=(cmd,), daemon=True).start()
+        return (None,)
 
-    def _snap(self):
+    def on_received(self, comm, line, *args, **kwargs):
+        if self._stood is not None and "X:" in line:
+            self._stood.set()
+        return line
+
+    def _snap(self, cmd):
         try:
+            aside = ["G91", "G1 E-1 F2400", "G1 Z0.5 F600", "G90", "G1 X10 Y190 F9000", "M400", "M114"]
+            self._printer.commands(aside, tags={"spy:snapshot"})
+            self._stood.wait(10)
             webcam = get_snapshot_webcam()
             self._snapped += len(b"".join(webcam.providerPlugin.take_webcam_snapshot(webcam.config.name))) > 0
-            time.sleep(0.2)
+            self._printer.commands(["G91", "G1 Z-0.5 F600", "G1 E1 F2400", "G90"], tags={"spy:snapshot"})
+            self._printer.commands([cmd], tags={"spy:again"})
         finally:
+            self._stood = None
             self._printer.set_job_on_hold(False)
 
-    _stabilises, _snapped, _taken = False, 0, 0
+    _stabilises, _snapped, _taken, _stood = False, 0, 0, None
 
     def get_webcam_configurations(self):
         """A second webcam, which shows what the first one does."""
@@ -125,4 +138,5 @@ def __plugin_load__():
     __plugin_hooks__ = {
         "octoprint.comm.protocol.gcode.queuing": __plugin_implementation__.on_queuing,
         "octoprint.comm.protocol.gcode.sent": __plugin_implementation__.on_sent,
+        "octoprint.comm.protocol.gcode.received": __plugin_implementation__.on_received,
     }

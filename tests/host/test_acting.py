@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from .room import box_gcode, slid, two_boxes_gcode
+from .room import SLOWLY, box_gcode, slid, two_boxes_gcode
 
 
 @pytest.mark.parametrize(("action", "state"), [("none", "Operational"), ("notify", "Operational"), ("pause", "Paused")])
@@ -49,7 +49,7 @@ def test_a_hot_end_that_was_turned_off_in_a_long_pause_is_hot_before_the_next_mo
 def test_an_object_that_anybody_cancels_is_known_to_be_cancelled_from_then_on(room, saved):
     saved(on_failed="none")  # the webcam knows nothing of cancelled objects and goes on painting it
     lines, layer = [], 0
-    for line in box_gcode(layers=10).splitlines():
+    for line in box_gcode(layers=10, feed_mm_min=SLOWLY).splitlines():
         if " Z" in line and "F12000" in line:
             if layer:
                 lines += ["EXCLUDE_OBJECT_END NAME=box"]
@@ -117,9 +117,9 @@ def test_a_suspicion_is_told_where_that_is_set_and_nothing_is_done(room, saved):
 
 
 def test_a_print_that_nobody_could_watch_for_long_is_paused_where_that_is_wanted(room, saved):
-    saved(on_blind="pause", blind_min=0.5, every_layers=1000)
+    saved(on_blind="pause", blind_min=0.1, every_layers=1000)
     room.webcam.answer = "404"
-    room.print("G4 P1500\n" + box_gcode(layers=60, lines_per_side=30))
+    room.print("G4 P1500\n" + box_gcode(layers=60, feed_mm_min=SLOWLY))
     room.wait("blind", lambda: room.status["blind_code"] == "frame", 20)
     room.server.wait_state({"Paused"}, 60)
     status = room.status
@@ -128,7 +128,7 @@ def test_a_print_that_nobody_could_watch_for_long_is_paused_where_that_is_wanted
 
 def test_the_users_own_commands_are_sent_around_a_pause_of_ours_and_around_no_other(room, saved):
     saved(gcode_paused="M117 look at me ; now\n\nM300 S440", gcode_resumed="G1 E5 F300\n")
-    text = box_gcode(layers=8)
+    text = box_gcode(layers=8, feed_mm_min=SLOWLY)
     room.webcam.slides_at = text.index("Z1.500")
     room.print(text)
     room.server.wait_state({"Paused"}, 40)

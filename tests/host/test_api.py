@@ -12,18 +12,19 @@ import pytest
 import requests
 
 from octoprint_moop.host.api import MoopApi
+from octoprint_moop.host.api_calibrations import MoopCalibrationsApi
 from octoprint_moop.host.api_jobs import MoopJobsApi
 from octoprint_moop.host.api_past import MoopPastApi
 from octoprint_moop.host.api_setup import MoopSetupApi
 from octoprint_moop.machine.recording import Recording
 
-from .room import box_gcode, header
+from .room import SLOWLY, box_gcode, header
 
 
 def routes() -> list[tuple[str, str]]:
     """Every route that the plugin has, with something put in for its variables."""
     found = []
-    for mixin in (MoopApi, MoopJobsApi, MoopSetupApi, MoopPastApi):
+    for mixin in (MoopApi, MoopJobsApi, MoopSetupApi, MoopPastApi, MoopCalibrationsApi):
         for member in vars(mixin).values():
             for rules in getattr(member, "_blueprint_rules", {}).values():
                 for rule, options in rules:
@@ -97,7 +98,7 @@ def test_a_preview_is_a_mask_and_nonsense_a_sentence(room):
 
 
 def test_a_print_that_is_not_wanted_watched_is_left_alone_and_says_so(room):
-    room.print(box_gcode(layers=8))
+    room.print(box_gcode(layers=8, feed_mm_min=SLOWLY))
     room.wait_checks(1)
     room.moop("POST", "watch", json={"watching": False})
     status = room.wait("off", lambda: room.status["blind"] and room.status)
@@ -111,7 +112,7 @@ def test_a_print_that_is_not_wanted_watched_is_left_alone_and_says_so(room):
 def test_a_check_can_be_asked_for_between_two_layers(room):
     room.save(every_layers=100)
     try:
-        room.print(box_gcode(layers=4))
+        room.print(box_gcode(layers=4, feed_mm_min=SLOWLY))
         room.wait("watching", lambda: room.status["watching"])
         room.moop("POST", "check", json={})
         (check, *_) = room.wait_checks(1)
@@ -125,7 +126,7 @@ def test_a_check_can_be_asked_for_between_two_layers(room):
 
 def test_two_people_who_press_the_same_buttons_do_no_harm(room):
     """A second browser, or a script: each sees the same, and what both ask for is done once."""
-    path = room.print(box_gcode(layers=10))
+    path = room.print(box_gcode(layers=10, feed_mm_min=SLOWLY))
     room.wait_checks(2)
     answers: list[int] = []
 

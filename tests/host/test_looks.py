@@ -157,9 +157,10 @@ def test_a_large_file_that_is_printed_at_once_prints_at_once_and_is_watched_when
     path.write_text(large_gcode(600_000))
     assert path.stat().st_size > 6_000_000
     room.webcam.look_at(path)
+    room.webcam.mask(0)  # drawn before anybody waits for it
     room.server.upload(path)
-    status = room.wait("reading", lambda: room.status["reading"] is not None and room.status)
-    assert status["blind_code"] == "reading" or status["job"] != path.name
+    room.wait("it is told to be read", lambda: room.status["job"] == path.name and room.status["reading"])
+    assert room.status["blind_code"] == "reading"
     before = room.sent_pos()
     room.wait("the print goes on meanwhile", lambda: room.sent_pos() > before)
     room.wait("watched", lambda: room.status["watching"] and room.status["job"] == path.name, 120)

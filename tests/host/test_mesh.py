@@ -8,7 +8,7 @@ import trimesh
 from octoprint_moop.machine.recording import Recording
 
 from .conftest import open_room
-from .room import box_gcode
+from .room import SLOWLY, box_gcode
 
 LAYERS, SIDE_MM = 8, 30.0
 
@@ -108,7 +108,7 @@ def test_a_print_is_watched_by_its_model_and_so_is_its_replay(room, job):
 
 
 def test_a_model_that_is_attached_while_printing_is_looked_at_from_then_on(room, job):
-    room.print(box_gcode(layers=40), name=job.name)
+    room.print(box_gcode(layers=40, feed_mm_min=SLOWLY), name=job.name)
     room.wait_checks(2)
     assert room.status["road"] == "gcode"
     assert attach(room, model((SIDE_MM + 0.8, SIDE_MM, 0.3 * 40))).status_code == 200
@@ -120,7 +120,7 @@ def test_a_model_that_is_attached_while_printing_is_looked_at_from_then_on(room,
 
 
 def test_a_file_that_cannot_be_read_is_watched_by_a_model_and_its_layer_height(room, job):
-    text = box_gcode(layers=40).replace("\nG1 Z60", "\n; \0\nG1 Z60")
+    text = box_gcode(layers=40, feed_mm_min=SLOWLY).replace("\nG1 Z60", "\n; \0\nG1 Z60")
     path = room.folder / "unreadable.gcode"
     path.write_text(text)
     readable = room.folder / "readable.gcode"

@@ -15,7 +15,7 @@ import pytest
 
 from octoprint_moop.core.gcode.read import read_gcode
 
-from .room import box_gcode
+from .room import SLOWLY, box_gcode
 from .test_faults import eye_pids
 
 
@@ -86,16 +86,36 @@ def test_a_pause_that_the_file_asks_for_is_not_ours_and_loses_nothing(room):
     assert room.sent_of_file() == lines
 
 
-def test_a_file_that_is_replaced_while_it_is_printed_is_still_watched_even_by_a_new_eye(room):
-    path = room.print(box_gcode(layers=40))
+@pytest.mark.parametrize("by", ["replaced", "deleted"])
+def test_a_file_that_is_replaced_or_deleted_while_it_is_printed_is_still_watched_even_by_a_new_eye(room, by):
+    path = room.print(box_gcode(layers=40, feed_mm_min=SLOWLY))
     room.wait_checks(2)
-    (room.folder / "other.gcode").write_text("; something else by now\n")
-    os.replace(room.folder / "other.gcode", room.server.basedir / "uploads" / path.name)
+    printed = room.server.basedir / "uploads" / path.name
+    if by == "replaced":
+        (room.folder / "other.gcode").write_text("; something else by now\n")
+        os.replace(room.folder / "other.gcode", printed)
+    else:
+        printed.unlink()
     for pid in eye_pids(room):
         os.kill(pid, signal.SIGKILL)
     count = len(room.checks)
     room.wait_checks(count + 2)
     assert {check["verdict"] for check in room.checks} == {"ok"}
+
+
+def test_a_file_that_is_written_over_while_it_is_printed_is_said_to_be_another(room):
+    """What is sent then are lines that nobody has read, at positions that mean nothing."""
+    text = box_gcode(layers=40, feed_mm_min=SLOWLY)
+    path = room.print(text)
+    room.wait_checks(2)
+    with (room.server.basedir / "uploads" / path.name).open("r+") as file:
+        half = text.index("\n", len(text) // 4) + 1
+        file.seek(half)
+        file.write(text[half:].replace("\n", " \n"))
+    room.wait("said", lambda: room.status["blind_code"] == "file_changed")
+    assert "do not match the file" in room.status["blind"] and room.status["action"] == "none"
+    room.command(command="cancel")
+    room.server.wait_state({"Operational"}, 10)
 
 
 def test_a_recording_that_cannot_be_written_costs_the_recording_alone(room):
@@ -114,7 +134,7 @@ def test_a_recording_that_cannot_be_written_costs_the_recording_alone(room):
 
 
 def test_settings_saved_in_the_middle_of_a_check_hold_for_the_next(room):
-    path = room.print(box_gcode(layers=5))
+    path = room.print(box_gcode(layers=5, feed_mm_min=SLOWLY))
     room.wait_checks(1)
     room.webcam.answer = "slow"
     served = room.webcam.served
@@ -151,11 +171,20 @@ def test_a_file_that_extrudes_nothing_is_printed_and_said_not_to_be_watched(room
 
 
 def test_another_plugin_that_holds_the_print_for_its_own_pictures_does_not_matter(room):
-    """As stabilised timelapses are made: both hold at the same layers, and the print goes on when both have let go."""
+    """As Octolapse makes stabilised timelapses: it swallows lines, moves the head, asks where it is, sends the lines again."""
     room.server.api("POST", "/api/plugin/spy", json={"command": "stabilise", "on": True})
     try:
-        watched_well(room, 5)
-        assert room.server.api("GET", "/api/plugin/spy")["snapped"] >= 4
+        path = room.print(box_gcode(layers=5))
+        room.wait_done()
+        assert [check["layer"] for check in room.wait_checks(5)] == list(range(5))
+        assert {check["verdict"] for check in room.checks} == {"ok"}
+        assert room.server.api("GET", "/api/plugin/spy")["snapped"] >= 5
+        of_file = [
+            command
+            for command, tags in room.sent()
+            if "spy:again" in tags or ("source:file" in tags and not any(tag.startswith("moop:") for tag in tags))
+        ]
+        assert of_file == path.read_text().splitlines()
     finally:
         room.server.api("POST", "/api/plugin/spy", json={"command": "stabilise", "on": False})
 
@@ -276,7 +305,7 @@ def test_many_prints_in_a_row_leave_nothing_behind(room):
 
 def test_an_eye_does_not_outlive_its_server(room):
     """Last in this file: it takes the server away, and brings it back."""
-    room.print(box_gcode(layers=8))
+    room.print(box_gcode(layers=8, feed_mm_min=SLOWLY))
     room.wait_checks(1)
     pids = eye_pids(room)
     assert pids

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from .room import box_gcode
+from .room import SLOWLY, box_gcode
 from .test_faults import eye_pids
 
 
@@ -50,8 +50,9 @@ class Stage:
 
 
 @pytest.mark.parametrize("name", ["standing still", "taking a picture", "looking", "looking again"])
-def test_a_check_gives_way_at_each_of_its_stages(room, name):
-    path = room.print("G4 P1500\n" + box_gcode(layers=12))
+def test_a_check_gives_way_at_each_of_its_stages(room, saved, name):
+    saved(check_timeout_s=2)
+    path = room.print("G4 P1500\n" + box_gcode(layers=12, feed_mm_min=SLOWLY))
     room.wait_checks(3)
     stage = Stage(room, name)
     stage.begin()
@@ -77,7 +78,7 @@ def test_a_check_gives_way_at_each_of_its_stages(room, name):
     ("fault", "state"), [("reset", "Operational"), ("drop_connection", "Offline"), ("action_disconnect", "Offline")]
 )
 def test_a_printer_that_goes_away_while_held_leaves_nothing_held(room, fault, state):
-    room.print("G4 P1500\n" + box_gcode(layers=12))
+    room.print("G4 P1500\n" + box_gcode(layers=12, feed_mm_min=SLOWLY))
     room.wait_checks(2)
     stage = Stage(room, "taking a picture")
     stage.begin()

@@ -68,17 +68,22 @@ class Endless:
         self.watch.job_started(Job(job.name, str(job), header))
         self.wait(lambda: self.ledger.status["watching"])
         for end in ends:
-            self.printer.let_go.clear()
-            sent = self.watch.holds.line_queuing("G1 X1", end)
-            if sent is None:
-                continue
-            self.watch.holds.line_sent("M114", sent[-1][2])
-            self.watch.holds.line_received("ok X:2.00 Y:198.00 Z:0.30 E:1.00 Count")
-            assert self.printer.let_go.wait(120), self.ledger.status
+            self.comes_by(end)
         self.watch.job_over("done")
         self.wait(lambda: self.ledger.status["blind_code"] == "idle")
         assert self.printer.holds == 0
         return len(self.ledger.checks)
+
+    def comes_by(self, end: int) -> bool:
+        """The line that ends there is sent; whether the print was held for it, and has been let go."""
+        self.printer.let_go.clear()
+        sent = self.watch.holds.line_queuing("G1 X1", end)
+        if sent is None:
+            return False
+        self.watch.holds.line_sent("M114", sent[-1][2])
+        self.watch.holds.line_received("ok X:2.00 Y:198.00 Z:0.30 E:1.00 Count")
+        assert self.printer.let_go.wait(120), self.ledger.status
+        return True
 
     def wait(self, condition: Callable[[], Any], timeout_s: float = 120.0) -> None:
         until_s = time.monotonic() + timeout_s

@@ -25,7 +25,7 @@ def main() -> None:
         if do == "count":
             for ratio in (0.25, 0.75):
                 send(sys.stdout.buffer, {"id": head["id"], "progress": ratio})
-                time.sleep(0.2)
+                time.sleep(arguments.get("s", 0.2))
         if do == "sleep":
             time.sleep(arguments["s"])
         if do == "babble":

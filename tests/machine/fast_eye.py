@@ -14,10 +14,10 @@ def answer(do: str, arguments: dict[str, Any]) -> dict[str, Any]:
     if do == "open":
         layers = int(re.sub("[^0-9]", "", Path(arguments["job"]).name))
         ends = [100 * (layer + 1) for layer in range(layers)]
-        modes = [[True, True, 1200.0]] * layers
+        modes = [[True, True, 1200.0]]
         return {
             "road": "gcode", "layers": layers, "ends": ends, "bare_ends": [], "bounds_mm": [[80, 80, 0.3], [120, 120, 9]],
-            "objects": [], "cancel_commands": [], "modes": modes, "notes": [], "renderer": "none",
+            "objects": [], "cancel_commands": [], "modes": modes, "mode_of": [0] * layers, "notes": [], "renderer": "none",
         }  # fmt: skip
     if do == "check":
         layer = arguments["moment"]["layer"]

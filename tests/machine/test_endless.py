@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import itertools
 import threading
+import time
 import tracemalloc
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from octoprint_moop.machine import watch
 from octoprint_moop.machine.jobs import Job
+from octoprint_moop.machine.webcam import Webcam
 
 from .endless import Endless
 
@@ -53,6 +55,32 @@ def test_many_prints_and_many_checks_leave_nothing_behind(endless, tmp_path, pri
         tracemalloc.stop()
     assert after[0] <= before[0] + 2 and after[1] <= before[1] + 2
     assert after[2] - before[2] < 200_000, "what a second time leaves is not what the first did"
+
+
+def test_looks_in_vain_do_not_hold_a_print_up_at_every_layer(endless, tmp_path):
+    """A webcam that hangs costs its time limit each time; a tenth of the print's time is enough for that."""
+    works, asked_s = [], []
+
+    def find():
+        asked_s.append(time.monotonic())
+        if works:
+            return "painted", lambda: [b"\xff\xd8%d\xff\xd9" % len(asked_s)]
+        time.sleep(0.1)
+        raise OSError("no answer")
+
+    endless.watch._looks._webcam = Webcam(find)
+    job = tmp_path / "100.gcode"
+    job.write_text("G1 X1\n")
+    endless.watch.job_started(Job(job.name, str(job), HEADER))
+    endless.wait(lambda: endless.ledger.status["watching"])
+    ends = itertools.count(100, 100)
+    assert [endless.comes_by(next(ends)) for _ in range(5)] == [True, True, False, False, False]
+    assert endless.ledger.status["blind_code"] == "frame"
+    works.append(True)
+    endless.wait(lambda: endless.comes_by(next(ends)) or time.sleep(0.05), 5)
+    assert asked_s[2] - asked_s[1] > 9 * 0.1, "left alone for nine times as long"
+    assert endless.comes_by(next(ends)), "and all is as before"
+    endless.watch.job_over("done")
 
 
 def test_a_connection_that_shows_no_line_of_the_print_is_told(endless, tmp_path, monkeypatch):

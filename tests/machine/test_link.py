@@ -157,3 +157,14 @@ def test_the_server_loads_no_library_that_only_the_eye_needs():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.stdout.strip().splitlines()[-1:] == ["[]"], done.stderr
+
+
+def test_a_question_that_waits_for_one_nobody_wants_any_more_is_told_how_far_that_is_and_given_time(eye):
+    """As a file that is read ahead when its print begins."""
+    eye.ask("echo", timeout_s=10)
+    unwanted, told = threading.Event(), []
+    unwanted.set()
+    with pytest.raises(Interrupted):
+        eye.ask("count", timeout_s=1.2, interrupted=unwanted, progress=told.append, s=0.8)
+    assert eye.ask("echo", timeout_s=1.2, interrupted=threading.Event(), progress=told.append, x=1)[0] == {"x": 1}
+    assert told == [0.25, 0.75] and eye.births == 1

@@ -158,7 +158,8 @@ def test_the_page_tries_another_sensitivity_without_looking_again_and_its_masks_
     material = json.loads((with_looks / "recording.json").read_text())["material"]
 
     def tried(**settings: object):
-        found, _ = bench.replay([], str(with_looks), material, settings, str(tmp_path))
+        _, (text,) = bench.replay([], str(with_looks), material, settings, str(tmp_path))
+        found = json.loads(text)
         summary = {key: value for key, value in found["summary"].items() if not key.startswith("ms_")}
         return [check["verdict"] for check in found["checks"]], summary
 

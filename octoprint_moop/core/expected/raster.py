@@ -55,6 +55,7 @@ class CvRenderer:
                 earlier = born < flat[pixel]
                 # of several values for one pixel the last assigned stays, and beads come in file order
                 flat[pixel[earlier][::-1]] = born[earlier][::-1]
+            toolpath.let_go()
         births[births == UNTOUCHED] = 0
         return births
 

@@ -153,6 +153,11 @@ class View:
             moment.file_pos, moment.position_mm, before, self._cancelled(moment), moment.sure_pos, moment.parked
         )
 
+    def draw_ahead(self) -> None:
+        """Draw what the first look will need, where the bed stands as it did for the reference. Raises RenderError."""
+        self._expected.at(self._toolpath.bytes, self._bare_position_mm)
+        self._expected.map_at(self._bare_position_mm, self._toolpath.bytes)
+
     def print_map(self, moment: Moment) -> PrintMap:
         """Layers and objects in the window. Raises RenderError where drawing fails."""
         whole = self._expected.map_at(
