@@ -280,11 +280,11 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         lost &= ~within(loose_u8, LOOSE_PX * sight.finer)
     alike = _could_be_matter(lost | unseen | barren, wanted, observed & wanted & ~unchanged, look, memory.bare(window))
     lost, unseen, barren = lost & ~alike, unseen & ~alike, barren & ~alike
-    untold_px = gone_px - np.count_nonzero(lost)
-    if untold_px > UNTOLD_RATIO * np.count_nonzero(standing) and np.count_nonzero(stray) <= STRAY_RATIO * untold_px:
-        hidden_px = max(
-            hidden_px, untold_px
-        )  # nothing bears out that so much has gone: what is fresh may be hidden too
+    untold_px = int(gone_px - np.count_nonzero(lost))
+    # nothing bears out that so much has gone: what is fresh may be hidden too
+    much = untold_px > UNTOLD_RATIO * np.count_nonzero(standing)
+    if not much or np.count_nonzero(stray) > STRAY_RATIO * untold_px:
+        untold_px = 0
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
     )
