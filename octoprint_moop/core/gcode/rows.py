@@ -118,12 +118,11 @@ def _blank_comments(
 
 def _blank(code: bytearray, start: np.ndarray, end: np.ndarray) -> None:
     """Overwrite [start, end) of each line with blanks."""
-    some = np.flatnonzero(start < end)
-    if not len(some):
-        return
-    edges = np.zeros(len(code) + 1, np.int8)
-    edges[start[some]], edges[end[some]] = 1, -1  # lines do not touch: a newline lies between
-    np.frombuffer(code, np.uint8)[np.cumsum(edges[:-1], dtype=np.int8).view(bool)] = _BLANK
+    lengths = np.maximum(end - start, 0)
+    within = np.cumsum(lengths)
+    if len(within) and within[-1]:
+        at = np.arange(within[-1]) + np.repeat(start - within + lengths, lengths)
+        np.frombuffer(code, np.uint8)[at] = _BLANK
 
 
 def _words(
@@ -147,7 +146,7 @@ def _words(
     text[start[kind >= SET_E] + 2] = _BLANK  # "G92"
     # Events: all that is no digit and no blank. A word is a letter, perhaps a minus, perhaps a dot, then another word.
     class_ = np.frombuffer(code.translate(_CLASSES), np.uint8)[:length]
-    position = np.flatnonzero(class_)
+    position = np.flatnonzero(class_ != 0)
     event = class_.take(position)
     line = np.repeat(np.arange(len(end)), np.diff(np.flatnonzero(event == _LINE), prepend=-1))
 
@@ -160,7 +159,9 @@ def _words(
     over = maybe_dot + dot
     last = event.take(over, mode="clip") == _LINE
     # A number ends one blank before the next letter, or where the line's code ends.
-    stop = np.where(last, code_end.take(letter_line), position.take(over, mode="clip") - 1)
+    stop = position.take(over, mode="clip") - 1
+    ending = np.flatnonzero(last)
+    stop[ending] = code_end.take(letter_line.take(ending))
     decimals = np.where(dot, stop - position.take(maybe_dot) - 1, 0)
     digits = stop - letter_at - 1 - minus - dot
 
