@@ -116,6 +116,7 @@ class View:
         self._camera, self._printer, self._toolpath = camera, printer, toolpath
         self._renderer, self._head = renderer, head
         self._expected = ExpectedViews(toolpath, camera, printer.bed, renderer, head)
+        self._last_expected: tuple[ExpectedViews | None, Moment | None, Expected | None] = (None, None, None)
         self.selfcheck = SelfCheck(camera, toolpath)
         self._markers = PrintedMarkers(toolpath, material)
         self._bare_bgr = None if reference_bgr is None else fit_frame(reference_bgr, camera)
@@ -147,11 +148,17 @@ class View:
         self._bare_bgr, self._bare_position_mm = frame_bgr, moment.position_mm
         return True
 
-    def expected(self, moment: Moment, before: int = 0) -> Expected:
+    def expected(self, moment: Moment) -> Expected:
         """Raises RenderError where the expected mask cannot be drawn."""
-        return self._expected.at(
-            moment.file_pos, moment.position_mm, before, self._cancelled(moment), moment.sure_pos, moment.parked
-        )
+        views, known, last = self._last_expected
+        if views is not self._expected or known != moment:  # many ask for that of one moment
+            last = self._expected.at(
+                moment.file_pos, moment.position_mm, cancelled=self._cancelled(moment), sure_pos=moment.sure_pos,
+                parked=moment.parked,
+            )  # fmt: skip
+            self._last_expected = self._expected, moment, last
+        assert last is not None
+        return last
 
     def draw_ahead(self) -> None:
         """Draw what the first look will need, where the bed stands as it did for the reference. Raises RenderError."""
