@@ -154,7 +154,7 @@ def one_run(kind: str, seed: int, renderer: object, bases: list[Base]) -> dict:
         assert inspector.look is not None
         ruling = courses.rule(inspector.look, story.moment(number))[1]
         sizes.append(None if ruling is None else round(ruling.worst.leading.size, 2))
-        if kind in ("composited", "simulated"):
+        if kind != "clean":
             rivals.look(number, picture.frame, check, story.finished(number))
         verdicts.append(check.verdict)
         if failed is None and check.verdict == FAILED:
