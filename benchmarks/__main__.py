@@ -56,6 +56,7 @@ BENCHMARKS = {
         _script("detection", "run", "--kind", "composited", "--runs", "200"),
         _script("detection", "run", "--kind", "simulated", "--runs", "200"),
         _script("detection", "run", "--kind", "clean", "--runs", "900"),)),
+    "turns": Benchmark("a camera that was turned", "drawn", (_script("turns", "--write"),)),
     "host_stall": Benchmark("how long the server's other threads wait", "drawn", (_script("host_stall", "--write"),)),
     "large_at_once": Benchmark("a large file, uploaded and printed at once", "drawn", (_script("large_at_once", "--write"),)),
     "endurance": Benchmark("a thousand prints, ten thousand checks", "drawn", (_script("endurance", "--write"),)),

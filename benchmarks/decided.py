@@ -19,7 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.detection import RIGHT_MODES
+from benchmarks.detection import RIGHT_MODES, rules_table
 from benchmarks.tables import RESULTS, ROOT, put, table
 from octoprint_moop.core.decision.decide import CUSUM_FAILED, DECISIVE, SLACK
 
@@ -75,11 +75,17 @@ def false_alarms(rows: list[dict[str, Any]]) -> str:
         return [name, len(some), judged, sum(row["unusable"] + row["moved"] for row in some), alarms,
                 f"{1e4 * alarms / max(judged, 1):.2g}", f"{1e4 * bound:.2g}", f"{100 * hundred:.1f} %"]  # fmt: skip
 
-    lines = [line(f"version {version}", [r for r in rows if r["version"] == version])
-             for version in sorted({r["version"] for r in rows})]  # fmt: skip
-    lines += [line("all", rows), line("of these, without a nuisance", [row for row in rows if not row["nuisances"]])]
-    lines += [line(f"bed {bed}", [r for r in rows if r["bed"] == bed]) for bed in ("fixed", "y", "z")]
-    lines.append(line("head in view", [row for row in rows if not row["parked"]]))
+    versions = sorted({row["version"] for row in rows})
+    lines = [line(f"version {version}", [r for r in rows if r["version"] == version]) for version in versions]
+    lines.append(line("all", rows))
+    newest = [row for row in rows if row["version"] == versions[-1]]
+    lines.append(line(f"version {versions[-1]}: without a nuisance", [row for row in newest if not row["nuisances"]]))
+    lines.append(line("with one or two", [row for row in newest if row["nuisances"]]))
+    lines.append(
+        line("of these, camera nudged or knocked", [r for r in newest if {"nudge", "knock"} & {*r["nuisances"]}])
+    )
+    lines += [line(f"bed {bed}", [r for r in newest if r["bed"] == bed]) for bed in ("fixed", "y", "z")]
+    lines.append(line("head in view", [row for row in newest if not row["parked"]]))
     head = ["clean runs", "runs", "checks judged", "not judged", "false alarms", "per 10,000", "95 %: at most",
             "a print of 100 checks, at most"]  # fmt: skip
     return table(head, lines)
@@ -163,15 +169,19 @@ def main() -> None:
     put(DOCUMENT, "clean", false_alarms(clean))
     put(DOCUMENT, "mixed", faults(mixed))
     put(DOCUMENT, "size", curve(mixed))
+    put(DOCUMENT, "mixed-rules", rules_table(mixed))
     FIGURE.parent.mkdir(exist_ok=True)
     FIGURE.write_text(_drawn(_by_size(mixed)[0]))
     put(DOCUMENT, "tail", tail(clean))
 
 
 def tail(clean: list[dict[str, Any]]) -> str:
-    """How often clean checks surprise. What follows an alarm is no clean check any more."""
+    """How often clean checks of the newest version surprise. What follows an alarm is no clean check any more."""
+    newest = max(row["version"] for row in clean)
     told = [
-        row["surprises"][: row["alarms"].get("moop", len(row["surprises"])) + 1] for row in clean if "surprises" in row
+        row["surprises"][: row["alarms"].get("moop", len(row["surprises"])) + 1]
+        for row in clean
+        if row["version"] == newest
     ]
     sizes = np.array([x for row in told for x in row if x is not None])
     shares = ", ".join(f"{level:g}: {np.mean(sizes >= level):.2%}" for level in (0.3, 0.6, 1.0, DECISIVE))

@@ -32,6 +32,7 @@ from . import (
     slicers,
     traced_score,
     truth,
+    turns,
 )
 from .tables import RESULTS, ROOT, put
 
@@ -61,6 +62,8 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
         "clean": lambda: decided.false_alarms(rows("detection-clean")),
         "mixed": lambda: decided.faults(rows("detection-mixed")),
         "size": lambda: decided.curve(rows("detection-mixed")),
+        "mixed-rules": lambda: detection.rules_table(rows("detection-mixed")),
+        "turns": lambda: turns.as_table(figures("turns")),
         "rivals": lambda: detection.as_tables(rows("detection")),
         "fresh": lambda: detection.rules_table(rows("detection-fresh")),
         "traced": lambda: traced_score.table(rows("traced")),
