@@ -11,7 +11,7 @@ from octoprint_moop.core.decision.evidence import find
 from octoprint_moop.core.decision.spots import near_to, without_specks
 from octoprint_moop.core.expected.views import surroundings
 
-from .stage import GROUND, LAYER_PX, SHAPE, Stage, moved, wall, walls
+from .stage import BED_BGR, GROUND, LAYER_PX, SHAPE, Stage, moved, wall, walls
 
 
 def figures(evidence):
@@ -85,6 +85,25 @@ def test_much_that_is_seen_no_more_though_nothing_shows_that_it_has_gone_is_hidd
     assert found.whole.lost_px == 0
     assert found.untold_px > 0.3 * found.whole.standing_px
     assert stage.look(14, walls(14)).untold_px == 0
+
+
+def test_dark_matter_that_shines_brighter_than_the_bed_at_one_layer_has_not_gone():
+    """Solid lines shine or not as they lie to the lamp, in turn; segmentation has learned the dark ones."""
+    stage = Stage()
+    for layer in range(13):
+        sight = stage.sight(layer, walls(layer))
+        sight.frame_bgr[walls(layer)] = np.array(BED_BGR) - 30
+        found = find(sight, stage.memory)
+        stage.memory.learn(found.window, found.wanted, found.look, found.seen, found.known)
+
+    def lost_px(shade: int) -> int:
+        nothing = np.zeros(SHAPE, bool)
+        sight = stage.sight(13, walls(13), observed=nothing)
+        sight.frame_bgr[walls(13)] = np.array(BED_BGR) + shade
+        return find(sight, stage.memory).whole.lost_px
+
+    assert lost_px(10) == 0
+    assert lost_px(0) > 1000  # bare bed, and so gone
 
 
 def test_layers_that_are_shifted_are_not_a_camera_that_moved():

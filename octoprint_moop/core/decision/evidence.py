@@ -272,6 +272,8 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
     gone_px = np.count_nonzero(lost)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
+    if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, known & ~observed & ~near_wanted):
+        lost = np.zeros_like(lost)
     stray = _could_have_come(stray, sight.laid_px, int(np.count_nonzero(lost)))
     loose_u8 = np.where(memory.loose(window), np.uint8(255), np.uint8(0))
     loose = near_to(loose_u8, stray | rim, LOOSE_PX * sight.finer)

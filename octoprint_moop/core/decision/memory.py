@@ -18,6 +18,7 @@ NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so fa
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
+SHINING = 6.0  # grey levels above the bed, of all channels
 SHADE_LEAST, SHADE_TINT = 0.25, 0.2
 UNCHANGED = 8  # the same within which a pixel looks as it did
 BED_LEAST_PX, BED_CLEARLY = 60, 0.8
@@ -112,6 +113,20 @@ class Memory:
             return 0.0
         changes = [now.astype(np.float32) - bare for now, bare in zip(look, self.bare(window))]
         return max(abs(float(change[where].mean() - change[beside].mean())) for change in changes)
+
+    def shines(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> bool:
+        """Whether the pixels `where`, of which dark matter was seen on a brighter bed, are brighter than it now, on average
+        and against those `beside`: solid lines shine or not as they lie to the lamp, but a bed does not from which they came off.
+        """
+        has_bare = self._has_bare[window]
+        where, beside = where & has_bare & self._has_covered[window], beside & has_bare
+        if not (where.any() and beside.any()):
+            return False
+        for now, bare, covered in zip(look, self.bare(window), self._covered):
+            there, around = now[where].mean() - bare[where].mean(), now[beside].mean() - bare[beside].mean()
+            if there - around < SHINING or covered[window][where].mean() > bare[where].mean() - CHANGED:
+                return False
+        return True
 
     def looks_strange(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
