@@ -116,7 +116,7 @@ class Memory:
 
     def shines(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> bool:
         """Whether the pixels `where`, of which dark matter was seen on a brighter bed, are brighter than it now, on average
-        and against those `beside`: solid lines shine or not as they lie to the lamp, but a bed does not from which they came off.
+        and against those `beside`: solid lines shine or not as they lie to the lamp, a bed from which they came off does not.
         """
         has_bare = self._has_bare[window]
         where, beside = where & has_bare & self._has_covered[window], beside & has_bare
