@@ -79,13 +79,24 @@ def measure(seed: int, renderer: Any) -> list[dict[str, Any]]:
     return found
 
 
-def as_table(rows: list[dict[str, Any]]) -> str:
-    lines = []
+def summed(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """By size of the turn, with the head in view and without: how often what was said, and the median error where it was found."""
+    sums = []
     for size_px in SIZES_PX:
-        own = [row for row in rows if row["size_px"] == size_px]
-        counts, off_px = Counter(row["outcome"] for row in own), [r["off_px"] for r in own if r["outcome"] == "found"]
-        lines.append([f"{size_px} px", len(own), *(counts[outcome] for outcome in OUTCOMES),
-                      f"{np.median(off_px):.2f} px" if off_px and size_px else "–"])  # fmt: skip
+        for head in (False, True):
+            own = [row for row in rows if row["size_px"] == size_px and row["head"] is head]
+            off_px = [row["off_px"] for row in own if row["outcome"] == "found"]
+            sums.append({"size_px": size_px, "head": head, "pictures": len(own), **Counter(row["outcome"] for row in own),
+                         "off_px": round(float(np.median(off_px)), 2) if off_px else None})  # fmt: skip
+    return sums
+
+
+def as_table(sums: list[dict[str, Any]]) -> str:
+    lines = [
+        [f"{one['size_px']} px{', head in view' if one['head'] else ''}", one["pictures"],
+         *(one.get(outcome, 0) for outcome in OUTCOMES), f"{one['off_px']:.2f} px" if one["off_px"] and one["size_px"] else "–"]
+        for one in sums
+    ]  # fmt: skip
     return table(["turned by", "pictures", *OUTCOMES, "median error where found"], lines)
 
 
@@ -97,10 +108,11 @@ def main() -> None:
     cv2.setNumThreads(1)
     with open_renderer() as renderer:
         rows = [row for n in range(wanted.bases) for row in measure(FIRST_SEED + n, renderer)]
-    print(as_table(rows))
+    sums = summed(rows)
+    print(as_table(sums))
     if wanted.write:
-        save("turns", "python -m benchmarks.turns --write", "drawn", rows)
-        put(ROOT / "docs" / "decision.md", "turns", as_table(rows))
+        save("turns", "python -m benchmarks.turns --write", "drawn", sums)
+        put(ROOT / "docs" / "decision.md", "turns", as_table(sums))
 
 
 if __name__ == "__main__":
