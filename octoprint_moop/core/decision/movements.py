@@ -97,7 +97,7 @@ class Scope:
         wanted = self._wanted.astype(np.uint8)
         near_edge = cv2.dilate(wanted, edge) != cv2.erode(wanted, edge)
         # along the expected edges the evidence has no say, unless it spoke up
-        self._counts = (~near_edge & ~self._foreign) | self._lost | self._unseen | self.stray
+        self._counts = (~near_edge & ~self._foreign & findings.known) | self._lost | self._unseen | self.stray
         self.wrong_px = self._differing_px(self._wanted)
 
     def _differing_px(self, explained: np.ndarray) -> int:
