@@ -41,7 +41,7 @@ def saved(room):
     names = (
         "capture", "on_failed", "on_suspect", "on_blind", "blind_min", "longest_s", "every_layers", "cool_after_min",
         "bed_off_after_min", "gcode_paused", "gcode_resumed", "min_interval_s", "watch_prints", "webcam", "record",
-        "check_timeout_s",
+        "check_timeout_s", "head",
     )  # fmt: skip
     before = {name: now[name] for name in names}
     yield room.save
