@@ -90,6 +90,7 @@ class EyeLink:
                 raise EyeGone("The process that looks at the pictures ended and was started anew.")
             if self._child is None or not self._child.alive:
                 if self._child is not None:
+                    log.warning("The process that looks at the pictures ended: %s", self._child.last_words())
                     self._child.kill()  # its thread may still wait for a question
                 self._child = _Child(self._module)
                 self.births += 1

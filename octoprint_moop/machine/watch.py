@@ -334,30 +334,33 @@ class Watch:
             self.responder.to_blindness(TICK_S, settings)
         if current.by_clock and not self.holds.refused:
             self._look_by_clock(current)
-        elif not watching:
-            return
-        elif self.holds.refused:
+        elif watching and self.holds.refused:
             self._ledger.blind(blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused}).")
-        elif self.holds.last_pos < 0 and time.monotonic() - current.began_s > NO_LINE_S and not self._paused:
+        elif (
+            watching and self.holds.last_pos < 0 and time.monotonic() - current.began_s > NO_LINE_S and not self._paused
+        ):
             self._ledger.blind(
                 blindness.NOT_HELD,
                 "No line of this print comes by here: over this kind of connection it cannot be held for a look.",
             )
-        elif self.holds.missed >= 3:
+        elif watching and self.holds.missed >= 3:
             self._ledger.blind(
                 blindness.FILE_CHANGED,
                 "The lines that are sent do not match the file. Was it changed after it was read?",
             )
-        elif settings.longest_s and settings.capture != "slicer" and self._ledger.age_s > settings.longest_s:
+        elif settings.longest_s and settings.capture != "slicer" and self._is_time(current, settings.longest_s):
             self.holds.ask()
 
     def _look_by_clock(self, current: Print) -> None:
-        since_s = current.began_s if current.looked_s is None else current.looked_s
-        longest_s = self._settings.longest_s or BY_CLOCK_S
-        if time.monotonic() < current.rest_until_s:
-            return
-        if time.monotonic() - since_s > min(longest_s, BY_CLOCK_S) and not (current.switched_off or self._paused):
+        longest_s = min(self._settings.longest_s or BY_CLOCK_S, BY_CLOCK_S)
+        if self._is_time(current, longest_s) and not (current.switched_off or self._paused):
             self._look_anywhere(current)
+
+    @staticmethod
+    def _is_time(current: Print, longest_s: float) -> bool:
+        """Nobody has looked for so long, whatever the last look showed."""
+        since_s = current.began_s if current.looked_s is None else current.looked_s
+        return time.monotonic() > max(since_s + longest_s, current.rest_until_s)
 
     def _look_anywhere(self, current: Print) -> None:
         if current.job.held:

@@ -12,12 +12,14 @@ pytest.importorskip("octoprint")
 
 from .room import Room
 
+NO_HEAD = '{"head": []}'
+
 
 @contextmanager
 def open_room(folder):
     with Room(folder, os.environ.get("MOOP_OCTOPRINT", sys.executable)) as room:
         room.set_up()
-        room.save(capture="park")  # its webcam shows no head, so none may stand before the print
+        room.save(capture="park", head=NO_HEAD)  # its webcam shows none, so none may stand before the print
         room.warm_up()
         yield room
 

@@ -346,9 +346,10 @@ class Room:
         return self.wait(f"{count} checks", lambda: len(self.checks) >= count and self.checks, timeout_s)
 
     def wait_done(self, timeout_s: float = 60.0) -> None:
-        """The job has ended by itself."""
+        """The job has ended by itself, and all that was seen of it has been told."""
         self.server.wait_state({"Operational"}, timeout_s)
         assert self.server.api("GET", "/api/job")["progress"]["completion"] == 100
+        self.wait("the end is told", lambda: self.status["blind_code"] == "idle")
 
     def sent(self) -> list[tuple[str, set[str]]]:
         """(command, tags) of everything sent since the last `print`."""

@@ -10,6 +10,7 @@ import pytest
 
 from octoprint_moop.machine.recording import Recording
 
+from .conftest import NO_HEAD
 from .room import FILAMENT_BGR, box_gcode
 
 WARMING_UP = "G4 P1500\n"
@@ -39,12 +40,12 @@ def test_the_empty_bed_is_looked_at_before_anything_lies_on_it(room):
 
 
 def test_a_head_before_the_bed_is_not_taken_for_the_bed(room):
-    room.save(capture="stand")
+    room.save(capture="stand", head="")
     try:
         room.print("G28\nG1 X100 Y20 Z0.3 F9000\n" + WARMING_UP + box_gcode(layers=3).replace("G28\n", ""))
         room.wait_done()
     finally:
-        room.save(capture="park")
+        room.save(capture="park", head=NO_HEAD)
     assert recording(room).reference() is None
     assert len(room.checks) == 3
     assert "no picture of it was taken here" in room.server.log_text()

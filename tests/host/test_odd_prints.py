@@ -199,7 +199,7 @@ def test_layers_of_less_than_a_second_are_each_looked_at(room):
     path = room.print("G4 P1500\n" + box_gcode(layers=8, side_mm=8, lines_per_side=1))
     room.wait_done()
     assert time.monotonic() - began_s < 30
-    assert [check["layer"] for check in room.checks] == list(range(8))
+    assert [check["layer"] for check in room.wait_checks(8)] == list(range(8))
     times_s = [moment["time_s"] for moment in moments(room)]
     assert min(late - early for early, late in zip(times_s, times_s[1:])) < 1.0
     assert room.sent_of_file() == path.read_text().splitlines()
