@@ -137,7 +137,7 @@ class Camera:
 
     def _project_many(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) float64: what cv2.projectPoints gives with up to 8 coefficients, which takes ten times as long for it."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = [*self.distortion.tolist(), *[0.0] * (8 - self.distortion.size)]
+        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion.tolist() + [0.0] * (8 - self.distortion.size)
         in_camera = cv2.Rodrigues(self.rvec)[0] @ points.T + self.tvec_mm[:, None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             x, y = in_camera[:2] / in_camera[2]

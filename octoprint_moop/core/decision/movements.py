@@ -197,8 +197,8 @@ class Scope:
                 part.astype(np.uint8), np.array([[1.0, 0, offset[0]], [0, 1.0, offset[1]]]), part.shape[::-1]
             )
             out, near = (there > 0) & ~mute, cv2.dilate(there, disc(1.5)) > 0
-            seen = np.count_nonzero(out & (stray > 0)) / max(np.count_nonzero(out), 1)
-            told = np.count_nonzero(self.stray & ~mute & near) / max(np.count_nonzero(self.stray & ~mute), 1)
+            seen = np.count_nonzero(out & (stray > 0)) / max(int(np.count_nonzero(out)), 1)
+            told = np.count_nonzero(self.stray & ~mute & near) / max(int(np.count_nonzero(self.stray & ~mute)), 1)
             like = 2 * seen * told / max(seen + told, 1e-6)
             if like >= LIKE_RATIO and (best is None or like > best.explained_ratio):
                 middle = middle_of(part) + self._origin_px
