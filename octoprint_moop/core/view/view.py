@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -83,14 +83,23 @@ class Place:
     bed: BedMotion
     expected: ExpectedViews
     moment: Moment
+    _covered: dict[int, dict[int, np.ndarray]] = field(default_factory=dict)
 
     def covered(self, object_id: int, first_layer: int) -> np.ndarray:
         """Raises RenderError where drawing fails."""
-        first, end = self.toolpath.layer_start[max(first_layer, 0)], self.toolpath.laid_at(self.moment.file_pos)
-        beads = np.arange(first, max(end, first))
-        if object_id >= 0:
-            beads = beads[self.toolpath.object_id[first:end] == object_id]
-        return self.window.sampled(self.expected.covered_at(self.moment.position_mm, beads))
+        first_layer = max(first_layer, 0)
+        known = self._covered.setdefault(object_id, {})
+        if first_layer not in known:
+            # layer upon layer is asked for, downwards: only what is not drawn yet is drawn
+            above = min((layer for layer in known if layer > first_layer), default=None)
+            first, laid = self.toolpath.layer_start[first_layer], self.toolpath.laid_at(self.moment.file_pos)
+            end = laid if above is None else min(int(self.toolpath.layer_start[above]), laid)
+            beads = np.arange(first, max(end, first))
+            if object_id >= 0:
+                beads = beads[self.toolpath.object_id[first : max(end, first)] == object_id]
+            drawn = self.window.sampled(self.expected.covered_at(self.moment.position_mm, beads))
+            known[first_layer] = drawn if above is None else drawn | known[above]
+        return known[first_layer]
 
     def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
         shift_mm = self.bed.room_from_print_mm(self.moment.position_mm)
