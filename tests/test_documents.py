@@ -47,15 +47,3 @@ def test_every_script_that_a_document_tells_to_run_is_there():
             assert (ROOT / script).is_file(), f"{page.name}: {script}"
         for module in re.findall(r"python -m benchmarks\.(\w+)", page.read_text()):
             assert (ROOT / "benchmarks" / f"{module}.py").is_file(), f"{page.name}: {module}"
-
-
-def test_every_test_that_a_fault_is_shown_by_is_there():
-    page = (ROOT / "docs" / "faults.md").read_text()
-    rows = [line for line in page.splitlines() if line.startswith("| ") and "test_" in line]
-    assert len(rows) > 40
-    for row in rows:
-        file = ""
-        for place, name in re.findall(r"`([\w/.…]*?)(?:::(test_\w+))?`", row.rsplit(" | ", 1)[1]):
-            file = file if place == "…" else place if "/" in place else f"tests/host/{place}"
-            assert (ROOT / file).is_file(), row
-            assert f"def {name or 'test_'}" in (ROOT / file).read_text(), f"{file}: {name}"
