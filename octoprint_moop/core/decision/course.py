@@ -35,6 +35,8 @@ from .evidence import WHOLE, Evidence
 
 TEACHES = "medium"  # a frame in which the rule finds nothing at this sensitivity teaches what is usual
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
+RECENT_LOOKS = 10
+MOST_BLIND = 5  # of the recent looks; what spoils more of them spoils the others too, and less plainly
 
 
 @dataclass(frozen=True)
@@ -115,12 +117,15 @@ class Course:
         self._state = self._before = _State()
         self._last: tuple[Look, Ruling] | None = None
         self._shaken = False
+        self._recent_blind: tuple[bool, ...] = ()
 
     def blind(self, verdict: str) -> None:
         """A look could not be judged, so the next one that can only suspects: the camera that was moved may be looked
         through at a place where it does not stand, what stood in the view may not be quite gone. Where the last one that
-        could be judged suspected already, obstacles excuse nothing.
+        could be judged suspected already, obstacles excuse nothing. Where more of the recent looks could not be judged
+        than could, the others only suspect as well.
         """
+        self._recent_blind = (*self._recent_blind, True)[-RECENT_LOOKS:]
         suspected = self._last is not None and self._last[1].worst.verdict != OK
         self._shaken |= verdict == CAMERA_MOVED or not suspected
 
@@ -135,6 +140,8 @@ class Course:
             assert self._last is not None
             self._state = self._before
             look = replace(look, scopes=_in_both(self._last[0].scopes, look.scopes))
+        else:
+            self._recent_blind = (*self._recent_blind, bool(look.little))[-RECENT_LOOKS:]
         self._before = self._state
         tracks, outcomes, alarmed = dict(self._state.tracks), [], False
         quiet = {number for number, track in tracks.items() if track.quiet}
@@ -149,14 +156,14 @@ class Course:
             outcomes = [
                 one if max(one.size("lost"), one.size("fresh")) >= 1 else _only_suspect(one) for one in outcomes
             ]
-        if self._shaken:
+        if self._shaken or sum(self._recent_blind) > MOST_BLIND:
             outcomes = [_only_suspect(outcome) for outcome in outcomes]
         self._shaken = False
         worst = max(outcomes, key=_weight)
         failed = self._state.failed | {outcome.object_id for outcome in outcomes if outcome.verdict == FAILED}
         errors = self._state.errors
         limit = self._limit(tracks[WHOLE], look.comparison)
-        if not alarmed:
+        if not alarmed and not look.little:  # what is hidden shows nothing wrong, and nothing usual
             tracks = {scope.object_id: learn(tracks[scope.object_id], scope) for scope in scopes}
             if look.comparison is not None:
                 errors = (*errors, look.comparison.error_ratio)[-GOOD_CHECKS:]
