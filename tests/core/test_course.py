@@ -187,3 +187,35 @@ def test_the_frame_in_which_the_camera_is_first_found_elsewhere_raises_no_alarm_
     turned = replace(look(9.0), turned=True)
     rulings = [courses.rule(one, moment)[1] for one in (*[look()] * 8, turned, look(9.0))]
     assert [ruling.worst.verdict for ruling in rulings[-2:] if ruling] == [SUSPECT, FAILED]
+
+
+def test_five_looks_through_a_hand_excuse_no_failure_longer_than_one_check():
+    course = course_after_good()
+    for _ in range(5):
+        course.blind("unusable")
+    assert [verdict(course, look(9)) for _ in range(2)] == [SUSPECT, FAILED]
+
+
+def test_a_camera_that_is_blind_most_of_the_time_only_suspects_until_it_has_seen_as_much_as_it_missed():
+    course = course_after_good()
+    for _ in range(6):
+        course.blind("unusable")
+    # ten looks back, the six blind ones and four that saw; the fifth that sees leaves five of each
+    assert [verdict(course, look(9)) for _ in range(5)] == [SUSPECT] * 4 + [FAILED]
+
+
+def test_a_camera_that_sees_one_layer_of_three_raises_no_alarm():
+    course = course_after_good()
+    seen = []
+    for _ in range(12):
+        course.blind("unusable")
+        course.blind("unusable")
+        seen.append(verdict(course, look(9)))
+    assert seen[3:] == [SUSPECT] * 9
+
+
+def test_what_hides_behind_the_head_teaches_nothing_so_the_first_plain_sight_of_the_print_only_suspects():
+    course = Course("medium")
+    for _ in range(4):
+        course.rule(replace(look(), little="The print head hides the print."))
+    assert [verdict(course, look(9)) for _ in range(2)] == [SUSPECT, FAILED]
