@@ -206,10 +206,6 @@ class PaintedWebcam:
         return Handler
 
 
-NO_HEAD = json.dumps({"head": [{"low_mm": [-0.1, -0.1, 0], "high_mm": [0.1, 0.1, 0.1]}], "gantry": None})
-"""For looks with the head over the print: the room's webcam shows none, so it must not be taken to hide anything."""
-
-
 class Room:
     """The server, its webcam, and what tests ask of them."""
 

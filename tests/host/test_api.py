@@ -18,7 +18,7 @@ from octoprint_moop.host.api_past import MoopPastApi
 from octoprint_moop.host.api_setup import MoopSetupApi
 from octoprint_moop.machine.recording import Recording
 
-from .room import NO_HEAD, SLOWLY, box_gcode, header
+from .room import SLOWLY, box_gcode, header
 
 
 def routes() -> list[tuple[str, str]]:
@@ -110,7 +110,7 @@ def test_a_print_that_is_not_wanted_watched_is_left_alone_and_says_so(room):
 
 
 def test_a_check_can_be_asked_for_between_two_layers(room):
-    room.save(every_layers=100, head=NO_HEAD)
+    room.save(every_layers=100)
     try:
         room.print(box_gcode(layers=4, feed_mm_min=SLOWLY))
         room.wait("watching", lambda: room.status["watching"])
@@ -119,7 +119,7 @@ def test_a_check_can_be_asked_for_between_two_layers(room):
         assert check["verdict"] == "ok"
         room.wait_done()
     finally:
-        room.save(every_layers=1, head="")
+        room.save(every_layers=1)
     answer = room.server.request("POST", "/plugin/moop/check", json={})
     assert answer.status_code == 409
 

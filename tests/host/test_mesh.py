@@ -8,7 +8,7 @@ import trimesh
 from octoprint_moop.machine.recording import Recording
 
 from .conftest import open_room
-from .room import NO_HEAD, SLOWLY, box_gcode
+from .room import SLOWLY, box_gcode
 
 LAYERS, SIDE_MM = 8, 30.0
 
@@ -130,13 +130,13 @@ def test_a_file_that_cannot_be_read_is_watched_by_a_model_and_its_layer_height(r
     choice = {"x_mm": 100, "y_mm": 99.6, "layer_height_mm": 0.3}
     mesh = room.moop("POST", "mesh/choice", json=choice)["mesh"]
     assert "nozzle's height" in mesh["notes"][0]
-    room.save(longest_s=0.1, capture="stand", head=NO_HEAD)
+    room.save(longest_s=0.1, capture="stand")
     try:
         room.print(text, name=path.name, seen_as=readable)
         checks = room.wait_checks(3, 60)
         assert room.status["road"] == "height" and room.status["watching"]
     finally:
-        room.save(longest_s=300.0, capture="park", head="")
+        room.save(longest_s=300.0, capture="park")
     layers = [check["layer"] for check in checks]
     assert layers == sorted(layers) and layers[-1] > layers[0]
     assert {check["verdict"] for check in checks} <= {"ok", "unusable"}, checks

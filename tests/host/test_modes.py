@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .room import NO_HEAD, SLOWLY, box_gcode
+from .room import SLOWLY, box_gcode
 
 
 def test_where_the_slicer_marks_the_spot_the_print_is_looked_at_there_and_nowhere_else(room, saved):
@@ -23,7 +23,7 @@ def test_where_the_slicer_marks_the_spot_the_print_is_looked_at_there_and_nowher
 
 
 def test_a_layer_that_takes_long_is_looked_at_in_between(room, saved):
-    saved(every_layers=1000, longest_s=1, head=NO_HEAD)
+    saved(every_layers=1000, longest_s=1)
     path = room.print(box_gcode(layers=14, feed_mm_min=SLOWLY))
     room.wait_done()
     assert len(room.checks) >= 1

@@ -15,7 +15,7 @@ import pytest
 
 from octoprint_moop.core.gcode.read import read_gcode
 
-from .room import NO_HEAD, SLOWLY, box_gcode
+from .room import SLOWLY, box_gcode
 from .test_faults import eye_pids
 
 
@@ -226,7 +226,7 @@ def test_a_tool_change_and_a_filament_change_in_the_file_lose_nothing(room):
 
 def test_one_layer_that_takes_long_is_looked_at_by_the_clock(room, saved):
     """A vase, or one layer over the whole bed: there is no layer's end to look at, but each line's state is known."""
-    saved(longest_s=1, every_layers=1000, head=NO_HEAD)
+    saved(longest_s=1, every_layers=1000)
     turns, lines = 6, ["G21", "G90", "M83", "G28", "G4 P1500", "G1 X120.000 Y100.000 Z0.300 F6000"]
     steps = 40 * turns
     for step in range(1, steps + 1):
