@@ -224,3 +224,17 @@ def test_what_is_neither_seen_nor_missed_is_not_known_to_be_well(seen_rows, lost
     whole = SimpleNamespace(lost_px=lost_px, stray_px=0, unseen_px=0, barren_px=0)
     findings = SimpleNamespace(wanted=wanted, seen=seen, known=np.ones_like(wanted), window=window, whole=whole)
     assert inspection._unseen_and_unmissed(findings, Memory(None, (40, 40))) is unknown
+
+
+def test_a_camera_that_was_turned_away_says_so_at_every_layer_until_it_is_back(clogged):
+    """What it shows then is another part of the room; no failure follows from that."""
+    recording = Recording.open(clogged)
+    inspector = Inspector(
+        recording.header, read_gcode(clogged / "job.gcode"), CvRenderer(), reference_bgr=recording.reference()
+    )
+    verdicts = []
+    for number, moment in enumerate(recording.moments[:FAULT_LAYER]):
+        frame = recording.frame(moment)
+        away = number in (3, 4)
+        verdicts.append(inspector.check(frame[::-1, ::-1] if away else frame, moment).verdict)
+    assert verdicts == ["ok", "ok", "ok", "camera_moved", "camera_moved", "ok", "ok"]
