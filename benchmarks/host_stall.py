@@ -1,6 +1,6 @@
 """How long watching keeps the server's other threads waiting: the send loop's stalls that are our doing.
 
-    python benchmarks/host_stall.py [--beads 1000000] [--seconds 30] [--rounds 4] [--write]
+    python benchmarks/host_stall.py [--beads 1000000] [--seconds 25] [--rounds 2] [--write]
 
 A real server prints the same file again and again with its virtual printer: unwatched, and watched from an empty cache, in turn.
 Watched, the file is read at the beginning and then held and checked at each layer. Its first layers are small, so that checks are
@@ -183,8 +183,8 @@ def measure(folder: Path, python: str, job: Path, seconds: float, rounds: int) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--beads", type=int, default=1_000_000)
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=25.0)
+    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
