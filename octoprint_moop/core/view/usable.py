@@ -12,6 +12,8 @@ TORN_ROWS_RATIO = 0.03
 OCCLUDER_RATIO = 0.012
 COLOUR_STEP = 28
 STILL_APART, STILL_NEAR = 1, 3  # for how many frames more a thing must lie as it did to be part of the scene
+HIDES_PX = 5
+"""How near to the print, in a glance's pixels, a thing may stand before it as well."""
 REST_STEP, REST_RATIO = 20.0, 0.001  # grey levels, and the share of a picture at rest that may differ by more
 
 
@@ -96,12 +98,14 @@ class Occluders:
         hiding = np.zeros(blobs.shape, np.uint8)
         if cv2.countNonZero(blobs) <= OCCLUDER_RATIO * blobs.size:
             return hiding
+        # what a thing shows beside the print was cut off from what it shows before it, with a margin all around
+        print_and_about = cv2.dilate(place | filament, np.ones((2 * HIDES_PX + 1, 2 * HIDES_PX + 1), np.uint8)) > 0
         _, labels, stats, _ = cv2.connectedComponentsWithStats(blobs)
         for label in range(1, len(stats)):
             if stats[label, cv2.CC_STAT_AREA] <= OCCLUDER_RATIO * labels.size:
                 continue
             blob = labels == label
-            hides = (blob & (_about(place) > 0)).any()
+            hides = (blob & print_and_about).any()
             if np.median(self._still_for[blob]) < (STILL_NEAR if hides else STILL_APART):
                 hiding[blob] = 255
         return cv2.dilate(hiding, np.ones((9, 9), np.uint8))
