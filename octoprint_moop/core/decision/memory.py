@@ -195,9 +195,7 @@ class Memory:
         seen = observed & ~self.looks_unchanged(window, look, observed)
         matter, fresh = self._matter[window], wanted & seen & known & ~self._has_covered[window]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
-        # what goes so slowly that no single check is alarmed must not be forgotten on the way
-        gone = self.looks_bare(window, look, self.standing(window) & wanted & known & ~observed)
-        cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, (known & ~gone).view(np.uint8))
+        cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, known.view(np.uint8))
         matter[fresh] = 1.0
         for kept, has, where in (
             (self._covered, self._has_covered[window], seen & known),
