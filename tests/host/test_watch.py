@@ -11,7 +11,7 @@ def test_a_good_print_is_checked_at_every_layer_and_never_paused(room):
     room.wait("the end is told", lambda: room.status["blind"] == "No print is running.")
     checks = room.checks
     assert [check["layer"] for check in checks] == list(range(12))
-    assert [check for check in checks if check["verdict"] != "ok"] == []
+    assert [(check["layer"], check["reason"]) for check in checks if check["verdict"] != "ok"] == []
     assert max(check["E"] for check in checks) < 0.05
     assert [check["id"] for check in checks] == list(range(12))
     # Not a line of the file is lost, doubled or moved by all the holding.
