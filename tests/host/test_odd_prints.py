@@ -15,6 +15,7 @@ import pytest
 
 from octoprint_moop.core.gcode.read import read_gcode
 
+from .conftest import NO_HEAD
 from .room import SLOWLY, box_gcode
 from .test_faults import eye_pids
 
@@ -317,6 +318,7 @@ def test_an_eye_does_not_outlive_its_server(room):
     assert not any(Path(f"/proc/{pid}/cmdline").exists() for pid in pids)
     room.server.start()
     room.server.wait_operational()
+    room.save(capture="park", head=NO_HEAD)  # a server that is started anew has its first settings
     room.warm_up()
     cut_short = room.moop("GET", "recordings")["recordings"][0]
     assert "ended" not in cut_short and cut_short["checks"] >= 0
