@@ -83,6 +83,13 @@ class Print:
     cancelled: dict[str, int] = field(default_factory=dict)
     said: dict[str, str] = field(default_factory=dict)
 
+    def opened(self, told: dict[str, Any], birth: int) -> None:
+        """The eye of that birth has read the job: what it told of it."""
+        self.born, self.ready, self.by_height = birth, True, told["road"] == "height"
+        self.ends, self.bare_ends, self.bounds_mm = told["ends"], told["bare_ends"], told["bounds_mm"]
+        kinds = [Modes.from_json(kind) for kind in told["modes"]]
+        self.modes = dict(zip([*self.bare_ends, *self.ends], (kinds[number] for number in told["mode_of"])))
+
     def header(self, settings: Settings) -> dict[str, Any]:
         """A recording's header for this print, with the filament's colour as it is set."""
         material = {

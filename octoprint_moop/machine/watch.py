@@ -18,12 +18,12 @@ from ..core.errors import MoopError
 from ..core.settings import Settings
 from . import blindness
 from .ahead import READING_S, Ahead, Reading
+from .clock import TICK_S, Clock
 from .holds import BARE, Hold, Holds
 from .jobs import Job, Print
 from .ledger import Ledger
 from .link import EyeGone, EyeLink, Interrupted
 from .looks import Look, Looks
-from .parking import Modes
 from .recorder import Recorder
 from .responding import Responder
 from .webcam import Webcam
@@ -31,13 +31,6 @@ from .webcam import Webcam
 log = logging.getLogger("octoprint.plugins.moop.watch")
 
 REVIVALS = 5
-TICK_S = 2.0
-BY_CLOCK_S = 60.0
-"""How often to look where no G-code tells when a layer ends."""
-GLANCE_S = 1.5
-"""How long a picture may take while the firmware stands still."""
-NO_LINE_S = 60.0
-"""Before so long the first line of a file has come by, whatever the printer does with it."""
 REST_S = 600.0
 """After so long without a print the eye is closed, and its memory given back."""
 
@@ -63,6 +56,7 @@ class Watch:
         self.holds = Holds(printer, lambda hold: self._mailbox.put(lambda: self._look(hold)))
         self._looks = Looks(self.holds, webcam, eye)
         self.responder = Responder(printer, ledger)
+        self._clock = Clock(self.holds, ledger, self.responder)
         self._reading = Reading(eye, ledger, cache)
         self._print: Print | None = None
         self._job: Job | None = None
@@ -202,11 +196,7 @@ class Watch:
             return
         finally:
             self._ledger.note(reading=None)
-        current.born, current.ready, current.by_height = self._eye.births, True, result["road"] == "height"
-        current.ends, current.bounds_mm = result["ends"], result["bounds_mm"]
-        current.bare_ends = result["bare_ends"]
-        kinds = [Modes.from_json(kind) for kind in result["modes"]]
-        current.modes = dict(zip([*current.bare_ends, *current.ends], (kinds[number] for number in result["mode_of"])))
+        current.opened(result, self._eye.births)
         for note in result["notes"]:
             log.info("%s: %s", current.job.name, note)
         if not again:
@@ -321,52 +311,10 @@ class Watch:
         self.holds.plan(current.ends, every_layers, current.last_pos, not_before_s, bare_ends)
 
     def _tick(self) -> None:
-        """What nobody else thinks of: what the hooks noticed but had no time to say, and what does not come at all."""
-        current, settings = self._print, self._settings
-        if current is None:
-            if time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:
-                self._eye.close()
-            return
-        watching = self._ledger.status["watching"]
-        if watching:
-            self.responder.to_seeing()
-        else:  # ticks come only while nothing else is to be done, so this is the least that it can be
-            self.responder.to_blindness(TICK_S, settings)
-        if current.by_clock and not self.holds.refused:
-            self._look_by_clock(current)
-        elif watching and self.holds.refused:
-            self._ledger.blind(blindness.NOT_HELD, f"The print cannot be held for a look ({self.holds.refused}).")
-        elif (
-            watching and self.holds.last_pos < 0 and time.monotonic() - current.began_s > NO_LINE_S and not self._paused
-        ):
-            self._ledger.blind(
-                blindness.NOT_HELD,
-                "No line of this print comes by here: over this kind of connection it cannot be held for a look.",
-            )
-        elif watching and self.holds.missed >= 3:
-            self._ledger.blind(
-                blindness.FILE_CHANGED,
-                "The lines that are sent do not match the file. Was it changed after it was read?",
-            )
-        elif settings.longest_s and settings.capture != "slicer" and self._is_time(current, settings.longest_s):
-            self.holds.ask()
-
-    def _look_by_clock(self, current: Print) -> None:
-        longest_s = min(self._settings.longest_s or BY_CLOCK_S, BY_CLOCK_S)
-        if self._is_time(current, longest_s) and not (current.switched_off or self._paused):
-            self._look_anywhere(current)
-
-    @staticmethod
-    def _is_time(current: Print, longest_s: float) -> bool:
-        """Nobody has looked for so long, whatever the last look showed."""
-        since_s = current.began_s if current.looked_s is None else current.looked_s
-        return time.monotonic() > max(since_s + longest_s, current.rest_until_s)
-
-    def _look_anywhere(self, current: Print) -> None:
-        if current.job.held:
-            self.holds.ask()
-        else:
-            self.holds.glance(self._settings.settle_s + GLANCE_S)
+        if self._print is not None:
+            self._clock.tick(self._print, self._settings, self._paused)
+        elif time.monotonic() - self._idle_since_s > REST_S and self._eye.pid is not None:
+            self._eye.close()
 
     def _end(self, how: str) -> None:
         current, self._print = self._print, None
@@ -435,7 +383,7 @@ class Watch:
 
     def _look_if_ready(self) -> None:
         if self._print is not None and self._print.ready:
-            self._look_anywhere(self._print)
+            self._clock.look_now(self._print, self._settings)
 
     def _take_mesh(self, key: str, mesh: dict[str, Any] | None) -> None:
         """A print that is under way is looked at by its new road from now on, and learned again from its recording."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from octoprint_moop.machine import watch
+from octoprint_moop.machine import clock, watch
 from octoprint_moop.machine.jobs import Job
 from octoprint_moop.machine.webcam import Webcam
 
@@ -85,7 +85,7 @@ def test_looks_in_vain_do_not_hold_a_print_up_at_every_layer(endless, tmp_path):
 
 def test_a_connection_that_shows_no_line_of_the_print_is_told(endless, tmp_path, monkeypatch):
     """As connectors may do that hand the whole file over."""
-    monkeypatch.setattr(watch, "NO_LINE_S", 0.2)
+    monkeypatch.setattr(clock, "NO_LINE_S", 0.2)
     monkeypatch.setattr(watch, "TICK_S", 0.1)
     job = tmp_path / "3.gcode"
     job.write_text("G1 X1\n")
