@@ -121,9 +121,11 @@ class Recorder:
             raise OSError("the disk is almost full")
 
     def _give_up(self, error: OSError) -> None:
+        deleted = self.folder is not None and not self.folder.is_dir()  # by the user, who may: no cause for alarm
+        why = "its recording was deleted" if deleted else error.strerror or error
         self.folder = None
-        self.trouble = f"This print is not recorded any more: {error.strerror or error}."
-        log.warning(self.trouble, exc_info=True)
+        self.trouble = f"This print is not recorded any more: {why}."
+        log.warning(self.trouble, exc_info=not deleted)
 
 
 @dataclass(frozen=True)

@@ -113,6 +113,17 @@ def test_a_disk_that_fails_in_mid_print_ends_the_recording_and_nothing_else(tmp_
     assert json.loads((folder / "outcome.json").read_text())["verdict"] == "ok"
 
 
+def test_deleting_the_recording_that_is_being_written_ends_it_and_is_told_without_a_traceback(tmp_path, caplog):
+    recorder = Recorder(tmp_path, "cube", HEADER, 10**9)
+    recorder.add(b"x", moment(0), check())
+    recorders.remove(recorder.folder)
+    recorder.add(b"x", moment(1), check())
+    recorder.end("done")
+    assert recorder.folder is None and "its recording was deleted" in recorder.trouble
+    assert caplog.records and not any(record.exc_info for record in caplog.records)
+    assert not kept(tmp_path)
+
+
 def test_a_recording_that_is_not_there_cannot_be_removed(tmp_path):
     with pytest.raises(RecordingError, match="cannot be removed"):
         recorders.remove(tmp_path / "2026-01-01_cube")
