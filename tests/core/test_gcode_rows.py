@@ -174,7 +174,7 @@ def test_usual_lines_are_rows(line):
     [
         "g1 x1",
         "G1X1",
-        "G1  X1",
+        "G1 X 1",
         "G1 X1 2",
         "G1 X1Y2",
         "G1 X",
@@ -184,14 +184,19 @@ def test_usual_lines_are_rows(line):
         "G92 E0 X1",
         "G10 P1",
         "G1 X12Y2",
+        "G1 X1\u00e9",
+        "G1 X1234567890.12345",
     ],
 )
 def test_unusual_lines_are_left_to_the_interpreter(line):
     assert split(line.encode() + b"\nG1 X1\n").kind.tolist() == [OTHER, 0]
 
 
+FIGURES = st.from_regex(r"-?([0-9]{1,7}\.[0-9]{0,7}|\.[0-9]{1,14}|[0-9]{1,15})", fullmatch=True)
+
+
 @settings(max_examples=200, deadline=None)
-@given(st.lists(number(-9999, 9999, 5), min_size=1, max_size=20))
+@given(st.lists(st.one_of(number(-9999, 9999, 5), FIGURES), min_size=1, max_size=20))
 def test_numbers_are_read_to_the_last_bit(numbers):
     lines = split("".join(f"G1 X{text}\n" for text in numbers).encode())
     said, values = lines.words[ord("X")]

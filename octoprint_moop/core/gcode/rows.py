@@ -4,8 +4,8 @@ A *row* is a line of a shape that nearly all lines have: `G0`, `G1`, `G2` or `G3
 after a blank; `G92 E…`; a bare `G10` or `G11`. Everything else (comments, settings, lower case, checksums, missing
 blanks, anything damaged) is left to the line-by-line interpreter.
 
-Numbers are not converted from text to floating point, which is dear: without their dots and signs they are read as
-whole numbers, which is cheap, and scaled by their decimals. That equals float() of the text, see `_words`.
+Numbers are not converted from text to floating point, which is dear: the last eight bytes of all words are read as
+64-bit integers, in which eight digits are added up at once, see `Figures`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 MOVE, ARC_CW, ARC_CCW, SET_E, RETRACT, UNRETRACT, OTHER = 0, 2, 3, 4, 5, 6, -1
-MOST_DIGITS = 15  # of one number; more are left to the interpreter
+MOST_CHARACTERS = 15  # of one number without its sign; longer ones are left to the interpreter
 
-_LETTER, _DOT, _MINUS, _LINE, _BAD = 1, 2, 3, 4, 5
-_CLASS = np.full(256, _BAD, np.uint8)
-_CLASS[ord("A") : ord("Z") + 1] = _LETTER
-_CLASS[[ord("."), ord("-"), ord("\n")]] = _DOT, _MINUS, _LINE
-_CLASS[[*range(ord("0"), ord("9") + 1), ord(" ")]] = 0
-_CLASSES = _CLASS.tobytes()
-_ONLY_DIGITS = bytes(i if ord("0") <= i <= ord("9") else ord(" ") for i in range(256))
-_POWER = np.array([float(10**k) for k in range(MOST_DIGITS + 1)])
-_PAD = b"\n" * 8
+# What a byte is worth in a number: digits themselves, the dot 0x10, everything else 0x20 or, where it ends a word, 0x60.
+_ELSE, _ENDS_WORD = 0x20, 0x60
+_WORTH = bytearray([_ENDS_WORD] * 33 + [_ELSE] * 223)
+_WORTH[ord("0") : ord("9") + 1] = range(10)
+_WORTH[ord(".")], _WORTH[ord(";")] = 0x10, _ENDS_WORD
+_PAD = b"\n" * 16
 _BLANK = ord(" ")
 
 AXES = tuple(ord(letter) for letter in "XYZE")
@@ -40,6 +37,7 @@ class Lines:
     kind       : (n,) int8, MOVE … UNRETRACT for rows, OTHER
     rows_before : (n + 1,) int64
     words      : letter -> ((m,) bool, (m,) float64): whether the row has it, and its number
+    figures    : to read other numbers of the chunk
     """
 
     start: np.ndarray
@@ -47,33 +45,39 @@ class Lines:
     kind: np.ndarray
     rows_before: np.ndarray
     words: dict[int, tuple[np.ndarray, np.ndarray]]
+    figures: Figures
 
 
 def split(chunk: bytes) -> Lines:
     """Lines and words of a chunk, which must end with a newline."""
-    code = bytearray(chunk + _PAD)
-    text = np.frombuffer(code, np.uint8)
-    end = np.flatnonzero(text[: len(chunk)] == ord("\n"))
-    start = np.empty_like(end)
-    start[0], start[1:] = 0, end[:-1] + 1
+    text = np.frombuffer(chunk + _PAD, np.uint8)
+    figures = Figures(chunk)
+    stops = np.flatnonzero(figures.worth == _ENDS_WORD)  # pieces end here; a line's first one is its command
+    stop_byte = text.take(stops)
+    last_piece = np.flatnonzero(stop_byte == ord("\n"))
+    end = stops.take(last_piece)
+    start, first_piece = _after(end), _after(last_piece)
     kind = _kinds(text, start)
-    code_end = _blank_comments(code, text[: len(chunk)], start, end, kind)
-    letter, line, values = _words(code, text, len(chunk), start, end, code_end, kind)
 
-    rows_before = np.empty(len(end) + 1, np.int64)
-    rows_before[0] = 0
+    rows = np.flatnonzero(kind != OTHER)
+    words = _Words(text, figures, stops, first_piece[rows], _code_end(stop_byte, last_piece)[rows])
+    bad = words.bad_rows(kind[rows] >= SET_E)
+    if bad.any():
+        kind[rows[bad]] = OTHER
+        words.leave_out(bad)
+    rows_before = np.zeros(len(end) + 1, np.int64)
     np.cumsum(kind != OTHER, out=rows_before[1:])
-    at = rows_before.take(line)
-    words = {}
     has_arcs = bool(((kind == ARC_CW) | (kind == ARC_CCW)).any())
-    for wanted in AXES + ARC_WORDS if has_arcs else AXES:
-        pick = np.flatnonzero(letter == wanted)
-        said, column = np.zeros(rows_before[-1], bool), np.zeros(rows_before[-1])
-        where = at.take(pick)
-        said[where] = True
-        column[where] = values.take(pick)
-        words[wanted] = (said, column)
-    return Lines(start, end, kind, rows_before, words)
+    letters = AXES + ARC_WORDS if has_arcs else AXES
+    columns = {letter: words.column(letter, int(rows_before[-1])) for letter in letters}
+    return Lines(start, end, kind, rows_before, columns, figures)
+
+
+def _after(last: np.ndarray) -> np.ndarray:
+    """Where each begins, given where each ends."""
+    first = np.zeros_like(last)
+    np.add(last[:-1], 1, out=first[1:])
+    return first
 
 
 def _kinds(text: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -92,105 +96,111 @@ def _kinds(text: np.ndarray, start: np.ndarray) -> np.ndarray:
     return kind
 
 
-def _blank_comments(
-    code: bytearray, body: np.ndarray, start: np.ndarray, end: np.ndarray, kind: np.ndarray
-) -> np.ndarray:
-    """Overwrite all but the code of rows with blanks; newlines stay.
-
-    Returns (n,) int64, where each row's code ends, without its comment and up to three blanks or a carriage return.
-    """
-    code_end = end.copy()
-    semicolons = np.flatnonzero(body == ord(";"))
-    if len(semicolons):
-        line = np.searchsorted(end, semicolons)
-        first = np.ones(len(line), bool)
-        first[1:] = line[1:] != line[:-1]
-        code_end[line[first]] = semicolons[first]
-    for _ in range(3):
-        last = body.take(code_end - 1, mode="clip")
-        trailing = np.flatnonzero(((last == _BLANK) | (last == ord("\r"))) & (code_end > start))
-        if not len(trailing):
-            break
-        code_end[trailing] -= 1
-    _blank(code, np.where(kind == OTHER, start, code_end), end)
+def _code_end(stop_byte: np.ndarray, last_piece: np.ndarray) -> np.ndarray:
+    """(n,) int64: each line's last piece that is no comment."""
+    code_end = last_piece.copy()
+    semicolons = np.flatnonzero(stop_byte == ord(";"))
+    line = np.searchsorted(last_piece, semicolons)
+    code_end[line[::-1]] = semicolons[::-1]  # of those in one line the first is put down last
     return code_end
 
 
-def _blank(code: bytearray, start: np.ndarray, end: np.ndarray) -> None:
-    """Overwrite [start, end) of each line with blanks."""
-    lengths = np.maximum(end - start, 0)
-    within = np.cumsum(lengths)
-    if len(within) and within[-1]:
-        at = np.arange(within[-1]) + np.repeat(start - within + lengths, lengths)
-        np.frombuffer(code, np.uint8)[at] = _BLANK
+class _Words:
+    """The words of rows, all that follows a line's command: their rows, letters and numbers."""
+
+    def __init__(
+        self, text: np.ndarray, figures: Figures, stops: np.ndarray, first_piece: np.ndarray, last_piece: np.ndarray
+    ) -> None:
+        """first_piece, last_piece : (m,) int64, indices of stops, of each row's code"""
+        count = last_piece - first_piece
+        behind = np.cumsum(count)
+        piece = np.arange(1, int(count.sum()) + 1) + np.repeat(first_piece - behind + count, count)
+        row = np.repeat(np.arange(len(count)), count)
+        end, letter_at = stops.take(piece), stops.take(piece - 1) + 1
+        if (end == letter_at).any():  # blanks at the end of a line, or its carriage return
+            said = np.flatnonzero(end > letter_at)
+            end, letter_at, row = end.take(said), letter_at.take(said), row.take(said)
+        minus = text.take(letter_at + 1) == ord("-")
+        self._row, self._letter = row, text.take(letter_at)
+        self._numbers, self._sound = figures.numbers(letter_at + 1 + minus, end)
+        self._numbers[minus] *= -1.0
+
+    def bad_rows(self, e_only: np.ndarray) -> np.ndarray:
+        """(m,) bool: rows that hold a word of another shape, or, where they are `e_only`, of another letter than E."""
+        bad = ~self._sound | (self._letter < ord("A")) | (self._letter > ord("Z"))
+        if e_only.any():
+            bad |= (self._letter != ord("E")) & e_only.take(self._row)
+        rows = np.zeros(len(e_only), bool)
+        rows[self._row[bad]] = True
+        return rows
+
+    def leave_out(self, rows: np.ndarray) -> None:
+        """Forget rows and their words, and count the others anew; (m,) bool."""
+        keep = np.flatnonzero(~rows.take(self._row))
+        self._row = (np.cumsum(~rows) - 1).take(self._row.take(keep))
+        self._letter, self._numbers = self._letter.take(keep), self._numbers.take(keep)
+
+    def column(self, letter: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of each row: whether it has this letter, and its number."""
+        pick = np.flatnonzero(self._letter == letter)
+        said, numbers = np.zeros(rows, bool), np.zeros(rows)
+        where = self._row.take(pick)
+        said[where] = True
+        numbers[where] = self._numbers.take(pick)
+        return said, numbers
 
 
-def _words(
-    code: bytearray,
-    text: np.ndarray,
-    length: int,
-    start: np.ndarray,
-    end: np.ndarray,
-    code_end: np.ndarray,
-    kind: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The words of rows: their letters (bytes), lines, and numbers. Lines of another shape than a row's become OTHER.
+_EIGHT = 8
+_LAST = np.array([(1 << 64) - (1 << (64 - 8 * n)) for n in range(_EIGHT + 1)], np.uint64)  # keeps the last n bytes
+_TEN_TO = np.array([10**k for k in range(MOST_CHARACTERS + 1)], np.uint64)
+_SCALE = np.array([1.0] + [float(10**k) for k in range(MOST_CHARACTERS + 1)])
 
-    Whole numbers below 10^15 and the powers of ten that scale them are exact in float64, so that one division rounds
-    once: a number equals float() of its text.
+
+def _each(byte: int) -> np.uint64:
+    return np.uint64(byte * 0x0101010101010101)
+
+
+class Figures:
+    """Reads decimal numbers in a chunk's bytes.
+
+    worth : (len(chunk),) uint8, see _WORTH
     """
-    body = text[:length]
-    odd = _odd_blanks(body, end)
-    row = start[kind != OTHER]
-    text[row], text[row + 1] = _BLANK, _BLANK  # "G1"
-    text[start[kind >= SET_E] + 2] = _BLANK  # "G92"
-    # Events: all that is no digit and no blank. A word is a letter, perhaps a minus, perhaps a dot, then another word.
-    class_ = np.frombuffer(code.translate(_CLASSES), np.uint8)[:length]
-    position = np.flatnonzero(class_ != 0)
-    event = class_.take(position)
-    line = np.repeat(np.arange(len(end)), np.diff(np.flatnonzero(event == _LINE), prepend=-1))
 
-    at = np.flatnonzero(event == _LETTER)
-    letter_at, letter_line = position.take(at), line.take(at)
-    letter = text.take(letter_at)
-    minus = event.take(at + 1) == _MINUS
-    maybe_dot = at + 1 + minus
-    dot = event.take(maybe_dot) == _DOT
-    over = maybe_dot + dot
-    last = event.take(over, mode="clip") == _LINE
-    # A number ends one blank before the next letter, or where the line's code ends.
-    stop = position.take(over, mode="clip") - 1
-    ending = np.flatnonzero(last)
-    stop[ending] = code_end.take(letter_line.take(ending))
-    decimals = np.where(dot, stop - position.take(maybe_dot) - 1, 0)
-    digits = stop - letter_at - 1 - minus - dot
+    def __init__(self, chunk: bytes) -> None:
+        worth = np.frombuffer(_PAD.translate(bytes(_WORTH)) + chunk.translate(bytes(_WORTH)), np.uint8)
+        self.worth = worth[len(_PAD) :]
+        # Entry i: the eight bytes before byte i of the chunk.
+        self._before = np.ndarray(len(chunk) + 1, f"V{_EIGHT}", worth.data, offset=len(_PAD) - _EIGHT, strides=(1,))
 
-    wrong = (digits < 1) | (digits > MOST_DIGITS) | (decimals < 0) | (text.take(letter_at - 1) != _BLANK)
-    wrong |= minus & (position.take(at + 1) != letter_at + 1)
-    wrong |= (letter != ord("E")) & (kind.take(letter_line) >= SET_E)
-    stray = (event == _MINUS) | (event == _DOT)
-    stray[(at + 1)[minus]] = False
-    stray[maybe_dot[dot]] = False
-    stray |= event == _BAD
-    bad = np.zeros(len(end), bool)
-    bad[letter_line.take(np.flatnonzero(wrong))] = True
-    bad[line.take(np.flatnonzero(stray))] = True
-    bad[odd] = True
-    if bad.any():
-        kind[bad] = OTHER
-        _blank(code, start[bad], end[bad])
-        keep = ~bad.take(letter_line)
-        letter, letter_line, minus, decimals = letter[keep], letter_line[keep], minus[keep], decimals[keep]
+    def numbers(self, begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) float64, the numbers in [begin, end), each equal to float() of its text; and (n,) bool, whether it is one.
 
-    figures = bytes(code.translate(_ONLY_DIGITS, b".-")) if len(letter) else b""
-    whole = np.fromstring(figures, dtype=np.int64, sep=" ") if figures else np.zeros(0, np.int64)
-    numbers = whole / _POWER.take(decimals)
-    return letter, letter_line, np.negative(numbers, out=numbers, where=minus)
+        A number is digits with at most one dot, MOST_CHARACTERS at most. Whole numbers below 10^15 and the powers of
+        ten that scale them are exact in float64, so that one division rounds once.
+        """
+        length = end - begin
+        whole, point, sound = self._eight(end, length)
+        long = np.flatnonzero(length > _EIGHT)
+        if len(long):
+            front, front_point, front_sound = self._eight(end[long] - _EIGHT, length[long] - _EIGHT)
+            back_point = point[long]
+            whole[long] += front * _TEN_TO.take(_EIGHT - (back_point > 0))
+            point[long] = np.where(front_point > 0, front_point + _EIGHT, back_point)
+            sound[long] &= front_sound & ~((front_point > 0) & (back_point > 0))
+        sound &= (length > (point > 0)) & (length <= MOST_CHARACTERS)
+        return whole / _SCALE.take(point, mode="clip"), sound
 
-
-def _odd_blanks(body: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The lines with a blank that is not just before a letter: `X1 2`, `X 1`, `X1  Y2`."""
-    blank = body == _BLANK
-    lost = blank[:-1] & (body[1:] >= ord("-")) & (body[1:] <= ord("9"))
-    lost[:-1] |= blank[:-2] & blank[1:-1] & (body[2:] >= ord("A"))
-    return np.searchsorted(end, np.flatnonzero(lost))
+    def _eight(self, end: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The digits among the last `length` of the eight bytes before `end` as a whole number, (n,) uint64; where their
+        dot is, (n,) int64: 1 for the last byte to 8 for the first, 0 for nowhere; whether there is nothing else."""
+        digits = self._before[end].view("<u8") & _LAST.take(length, mode="clip")
+        dot = digits & _each(0x10)
+        sound = ((digits & _each(_ELSE)) | (dot & (dot - np.uint64(1)))) == 0
+        digits ^= dot
+        digits += (digits & (np.maximum(dot >> np.uint64(4), 1) - np.uint64(1))) * np.uint64(0xFF)  # closes the gap
+        # Neighbours are added up: pairs of digits, then pairs of pairs, then both halves.
+        digits = (digits * np.uint64((10 << 8) + 1) >> np.uint64(8)) & np.uint64(0x00FF00FF00FF00FF)
+        digits = (digits * np.uint64((100 << 16) + 1) >> np.uint64(16)) & np.uint64(0x0000FFFF0000FFFF)
+        whole = digits * np.uint64((10000 << 32) + 1) >> np.uint64(32)
+        point = (dot * np.uint64(0x0807060504030201) >> np.uint64(60)).view(np.int64)  # its byte's number goes on top
+        return whole, point, sound
