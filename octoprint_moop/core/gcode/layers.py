@@ -128,19 +128,29 @@ def layer_shapes(beads: Column, starts: np.ndarray) -> tuple[np.ndarray, np.ndar
 
     The height is that at which most of a layer is laid; in a spiral the highest.
     """
-    count = len(starts) - 1
-    heights, low, high = np.empty(count, np.float32), np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
-    for i, (first, last) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist())):
-        x0, y0, _, x1, y1, z, _, _ = np.ascontiguousarray(beads.read(first, min(last, first + CHUNK_ROWS)).T)
-        low[i] = min(x0.min(), x1.min()), min(y0.min(), y1.min())
-        high[i] = max(x0.max(), x1.max()), max(y0.max(), y1.max())
-        heights[i] = z.max()
-        if z.max() - z.min() > 1e-4:
-            levels, which = np.unique(np.round(z, 3), return_inverse=True)
-            shares = np.bincount(which.ravel(), weights=np.hypot(x1 - x0, y1 - y0))
-            if shares.max() >= 0.25 * shares.sum():
-                heights[i] = levels[shares.argmax()]
-    return heights, low, high
+    low, high = _corners(beads, starts)
+    heights = high[:, 5].copy()
+    for i in np.flatnonzero(high[:, 5] - low[:, 5] > 1e-4).tolist():
+        block = beads.read(int(starts[i]), min(int(starts[i + 1]), int(starts[i]) + CHUNK_ROWS))
+        levels, which = np.unique(np.round(block[:, 5], 3), return_inverse=True)
+        lengths = np.hypot(block[:, 3] - block[:, 0], block[:, 4] - block[:, 1])
+        shares = np.bincount(which.ravel(), weights=lengths)
+        if shares.max() >= 0.25 * shares.sum():
+            heights[i] = levels[shares.argmax()]
+    return heights, np.minimum(low[:, :2], low[:, 3:5]), np.maximum(high[:, :2], high[:, 3:5])
+
+
+def _corners(beads: Column, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(L, 6) float32 each: the lowest and the highest of a layer's x0 y0 z0 x1 y1 z1."""
+    low = np.full((len(starts) - 1, 6), np.inf, np.float32)
+    high = -low
+    for first, last in beads.blocks():
+        layers = slice(int(np.searchsorted(starts, first, side="right")) - 1, int(np.searchsorted(starts, last)))
+        heads = np.maximum(starts[layers] - first, 0)
+        columns = np.ascontiguousarray(beads.read(first, last)[:, :6].T)
+        low[layers] = np.minimum(low[layers], np.minimum.reduceat(columns, heads, axis=1).T)
+        high[layers] = np.maximum(high[layers], np.maximum.reduceat(columns, heads, axis=1).T)
+    return low, high
 
 
 def layer_steps(heights_mm: np.ndarray, usual_mm: float | None, nozzle_mm: float) -> np.ndarray:
@@ -189,7 +199,9 @@ def widths_and_heights(
 def layer_ends(end_pos: Column, starts: np.ndarray, tails: tuple[array[int], array[int]]) -> np.ndarray:
     """(L,) int64: end of each layer's last bead, or of the retraction that directly follows it."""
     last = starts[1:] - 1
-    ends = np.array([end_pos.read(bead, bead + 1)[0] for bead in last.tolist()], np.int64)
+    ends = np.concatenate(
+        [end_pos.read(*block)[last[slice(*np.searchsorted(last, block))] - block[0]] for block in end_pos.blocks()]
+    )
     if len(tails[0]):
         beads, positions = (np.array(tail, np.int64) for tail in tails)
         found = np.searchsorted(beads, last, side="right") - 1
@@ -207,14 +219,16 @@ def layer_parks(
     layer change G-code, put there so that a camera sees the print. Of several the farthest counts.
     """
     bead, end_pos = np.array(travels.bead, np.int64), np.array(travels.end_pos, np.int64)
-    place = np.column_stack([np.array(travels.x), np.array(travels.y)])
+    layer = np.searchsorted(starts[1:] - 1, bead)
+    between = np.flatnonzero(starts[1:].take(layer, mode="clip") - 1 == bead)
+    bead, end_pos, layer = bead[between], end_pos[between], layer[between]
+    place = np.column_stack([np.array(travels.x), np.array(travels.y)])[between]
+    after = np.minimum(layer + 1, len(ends) - 1)
+    low, high = np.minimum(low_mm[layer], low_mm[after]), np.maximum(high_mm[layer], high_mm[after])
+    beyond = np.maximum(low - place, place - high).max(axis=1)
+    order = np.lexsort((-beyond, layer))  # of each layer the farthest first, of equally far ones the first
+    _, first = np.unique(layer[order], return_index=True)
+    far = order[first][beyond[order[first]] >= FAR_MM]
     found = ends.copy()
-    firsts, afters = np.searchsorted(bead, starts[1:] - 1), np.searchsorted(bead, starts[1:])
-    for layer in np.flatnonzero(firsts < afters).tolist():
-        between = slice(int(firsts[layer]), int(afters[layer]))
-        both = slice(layer, layer + 2)
-        low, high = low_mm[both].min(axis=0), high_mm[both].max(axis=0)
-        beyond = np.maximum(low - place[between], place[between] - high).max(axis=1)
-        if beyond.max() >= FAR_MM:
-            found[layer] = max(found[layer], end_pos[between][beyond.argmax()])
+    found[layer[far]] = np.maximum(ends[layer[far]], end_pos[far])
     return found

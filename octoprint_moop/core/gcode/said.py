@@ -91,7 +91,9 @@ class Said:
                 self.declared.setdefault(said.setting, said.values)
 
     def label(self, system: str, name: str | None, bead: int) -> None:
-        self.labels.setdefault(system, Labels()).at(bead, name)
+        if system not in self.labels:
+            self.labels[system] = Labels()
+        self.labels[system].at(bead, name)
 
     def setting(self, name: str) -> float | None:
         """The first value of a setting that the file declares, or None."""
