@@ -35,6 +35,25 @@ def test_a_calibration_that_is_pixels_off_is_found_before_the_first_verdict(off)
     assert stage.memory.alignment.offset_px == pytest.approx(off, abs=0.3)
 
 
+def test_a_look_without_contours_does_not_unsettle_what_contours_have_told():
+    stage = Stage()
+    stage.good(5, moved(walls(5), 3, 0))
+    told = stage.memory.alignment
+    blots = np.zeros(SHAPE, bool)
+    blots[120:160:8, 92:230:9] = True
+    stage.look(6, moved(walls(6), 3, 0), observed=blots)
+    assert stage.memory.alignment == told and stage.memory.fitted
+
+
+@pytest.mark.parametrize(("right_px", "counts"), [(2, False), (6, True)])
+def test_while_no_contour_has_told_where_a_print_is_what_lies_close_beside_it_may_be_the_print(right_px, counts):
+    stage = Stage()
+    blot = np.zeros(SHAPE, bool)
+    blot[172:176, 150 + right_px : 152 + right_px] = True  # no more of the print is seen
+    found = stage.look(3, blot)
+    assert not stage.memory.fitted and (found.whole.stray_px > 0) is counts
+
+
 def test_a_print_that_slid_on_a_bed_that_stands_still_is_not_taken_for_a_camera_that_moved():
     stage = Stage(textured=True).printed(12)
     found = stage.look(13, moved(walls(13), 5, 0))

@@ -255,12 +255,13 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     # segmentation that expects matter may see it in a shadow: what has not changed at all has not come either
     unchanged = memory.looks_unchanged(window, look, recent & observed)
     # what the first layer covers has told by its second successor whether it came
-    inside = cv2.erode(wanted_u8, edge) > 0
+    # where nothing is seen nothing can be fitted: then the camera is believed
+    inside = cv2.erode(wanted_u8, edge if memory.fitted else disc(sight.tolerance_px)) > 0
     deep = (recent if sight.layer <= FIRST_LAYERS else later) & inside
     barren = unchanged | memory.looks_bare(window, look, deep & ~near_observed & ~memory.ever_seen(window))
     barren &= deep
     # contours that are known to be off by more than a pixel hide a layer's height
-    off_px = round(memory.spread_px - 0.5)
+    off_px = round(memory.spread_px - 0.5) if memory.fitted else 0
     covered = observed if off_px < 1 else cv2.dilate(observed_u8, disc(off_px)) > 0
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered)
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)

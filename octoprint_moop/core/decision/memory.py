@@ -14,6 +14,7 @@ SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from th
 SURROUNDINGS_EVERY = 4  # good checks
 CREEPING_CHECKS, CREEP_PX = 4, 0.3  # by so little in so many, as a print grows out of the height at which it was found
 SETTLING_REACH_PX, RESETTLING_CHECKS = 6, 2
+UNTOLD_PX = 3.0  # what contours may be off while too few of them found an edge: as much as a band is ever widened by
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
@@ -63,7 +64,9 @@ class Memory:
         self._checks = self._crept = 0
         self._settled_at = SETTLING_CHECKS
         self.alignment = Alignment()
-        self.spread_px = 0.0
+        self.fitted = False
+        """Whether contours of the print have told where it is in the picture; else it is where most of it is explained."""
+        self.spread_px = UNTOLD_PX
         """How far most contours of the print still lay from their edges, halo included, when last it was aligned."""
 
     def standing(self, window: Window) -> np.ndarray:
@@ -278,9 +281,10 @@ class Memory:
         """
         if self._checks < self._settled_at:
             found = register(window, wanted, observed, ignored, SETTLING_REACH_PX)
-            if found is not None:
+            # what contours have told before is better than what one look without them suggests
+            if found is not None and (found.share > 0 or not self.fitted):
                 self.alignment = found.alignment.within(align.MOST_PX)
-                self.spread_px = _spread(found)
+                self.fitted, self.spread_px = found.share > 0, _spread(found)
         elif self._checks % CREEPING_CHECKS == 0 and self._crept != self._checks:
             self._crept = self._checks
             top, left = window[0].start, window[1].start
@@ -334,7 +338,7 @@ def register(
 def _spread(found: align.Fit) -> float:
     """Within how many pixels most contours lie."""
     if not len(found.residual_px):
-        return 0.0
+        return UNTOLD_PX
     return float(np.percentile(np.abs(found.residual_px), 90)) + max(found.halo_px, 0.0)
 
 
