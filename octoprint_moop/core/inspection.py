@@ -223,7 +223,7 @@ class Inspector:
         if steady.moved:
             return self._blind(Look(blind=CAMERA_MOVED, reason=steady.moved), moment)
         window, expected = steady.window, steady.expected
-        seen = view.observe(steady)
+        seen = view.observe(steady, moment)
         observed = seen.mask
         hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
         # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
@@ -270,7 +270,7 @@ class Inspector:
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), moment)
         if moment.camera not in self._told_apart:
             if not _tells_apart(findings, memory, tolerance_px):
-                view.learn(steady, seen)
+                view.learn(steady, moment, seen)
                 return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
             self._told_apart.add(moment.camera)
         if _unseen_and_unmissed(findings, memory):
@@ -298,7 +298,7 @@ class Inspector:
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
-                view.learn(steady, seen)
+                view.learn(steady, moment, seen)
             view.check_calibration(moment, close.sharp(), sharp, sharp_observed, sharp_ignored)
         return Check.of(moment, self.look, ruling, self._toolpath.objects)
 

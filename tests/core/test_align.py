@@ -103,3 +103,12 @@ def test_a_step_towards_another_alignment_is_no_longer_than_allowed():
     assert here.towards(there, 0.5).offset_px == pytest.approx((0.3, 0.4))
     assert here.towards(there, 50.0).offset_px == pytest.approx((3.0, 4.0))
     assert there.within(1.0).most_px == pytest.approx(1.0) and there.within(6.0) == there
+
+
+def test_labels_are_displaced_to_where_the_picture_shows_them():
+    labels = drawn(parts=PARTS[:1]).astype(np.uint32) + 70_000 * drawn(parts=PARTS[1:])
+    there = fitted(drawn((2.4, -1.7), 1.0)).alignment.displaced(labels.astype(np.uint32))
+    for part, label in ((PARTS[:1], 1), (PARTS[1:], 70_000)):
+        true = drawn((2.4, -1.7), 1.0, parts=part)
+        assert np.count_nonzero(true != (there == label)) < 0.03 * np.count_nonzero(true)
+    assert set(np.unique(there)) == {0, 1, 70_000}

@@ -198,6 +198,23 @@ def test_what_seems_hidden_check_after_check_is_judged_in_the_end(detached, monk
     assert verdicts == ["unusable"] * 5 + ["suspect"]  # it has come off at layer 10
 
 
+def test_once_a_camera_is_known_to_be_pixels_off_filament_is_looked_for_where_it_lies(tmp_path):
+    """Colours that are learned where the print is not would spoil all that follows."""
+    recording = Recording.open(make_recording(tmp_path / "print", layers=3, seed=6))
+    toolpath = read_gcode(recording.folder / "job.gcode")
+    camera = recording.header.camera()
+    off = replace(camera, K=camera.K + [[0, 0, 3.0], [0, 0, -2.0], [0, 0, 0]])
+    header = replace(recording.header, material=None, cameras=((None, off),))
+    inspector, true = (
+        Inspector(one, toolpath, CvRenderer(), reference_bgr=recording.reference())
+        for one in (header, recording.header)
+    )
+    for moment in recording.moments:
+        assert inspector.check(recording.frame(moment), moment).verdict == "ok"
+    lies, seen = true.expected(moment).mask > 0, inspector.pictures.observed > 0
+    assert np.count_nonzero(lies != seen) < 0.05 * np.count_nonzero(lies)
+
+
 @pytest.mark.parametrize("thresholds", [HsvThresholds(100, 140, 0.5, 0.3), HsvThresholds(0, 360, 0.0, 0.0)])
 def test_a_print_that_cannot_be_told_from_the_bed_is_not_said_to_be_well(clogged, thresholds):
     """Thresholds that no filament here meets, and ones that everything meets."""

@@ -53,6 +53,12 @@ class Alignment:
         corner = np.array([left, top], float)
         return np.column_stack([linear, corner + self.at(corner[None])[0]])
 
+    def displaced(self, labels: np.ndarray) -> np.ndarray:
+        """Where the picture shows what the labels (h, w), uint32, say is expected; 0 where it shows nothing of them."""
+        size = labels.shape[::-1]
+        moved = cv2.warpAffine(labels.view(np.float32), self.inverse_map(0, 0), size, flags=cv2.INTER_NEAREST)
+        return moved.view(np.uint32)
+
     def within(self, most_px: float) -> Alignment:
         """The same, or as much of it as displaces the print by no more than `most_px`."""
         values = np.array([*self.offset_px, *self.shear_px])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -29,6 +29,7 @@ from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
 SAME_TURN_PX = 1.5
+DISPLACED_PX = 1.0  # a print that is seen nearer to where it is expected than that lies there
 SETTLED_PX = 1.0  # the same: a frame whose turn differs by more from the last one's is the first to say so
 LOST = (
     "Nothing in the picture is where it was: the camera was moved far, or something stands before it. "
@@ -268,13 +269,20 @@ class View:
             moved, turned, stabiliser.sure, whole_bgr, stabiliser, turn, light,
         )  # fmt: skip
 
-    def observe(self, steady: SteadyFrame) -> Observation:
+    def observe(self, steady: SteadyFrame, moment: Moment) -> Observation:
         """Which pixels of a frame from `steady` are filament."""
-        return self._segmenter.observe(steady.frame, steady.expected)
+        return self._segmenter.observe(steady.frame, self._where_it_lies(steady, moment))
 
-    def learn(self, steady: SteadyFrame, seen: Observation) -> None:
+    def learn(self, steady: SteadyFrame, moment: Moment, seen: Observation) -> None:
         """All is well in this frame: so look filament and background in this print."""
-        self._segmenter.learn(steady.frame, steady.expected, seen)
+        self._segmenter.learn(steady.frame, self._where_it_lies(steady, moment), seen)
+
+    def _where_it_lies(self, steady: SteadyFrame, moment: Moment) -> Expected:
+        """What must be seen, where this print's contours have shown it to be seen."""
+        alignment = self.memory(moment).alignment
+        if alignment.most_px < DISPLACED_PX:
+            return steady.expected
+        return replace(steady.expected, birth=alignment.displaced(steady.expected.birth))
 
     def check_calibration(
         self, moment: Moment, close: Window, expected: Expected, observed: np.ndarray, ignored: np.ndarray
