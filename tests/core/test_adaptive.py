@@ -106,6 +106,22 @@ def test_a_part_that_slid_away_is_seen_where_it_is_and_not_where_it_was():
     assert iou(segmenter.observe(printed(truth, seed=5), expected(11)).mask, truth) > 0.85
 
 
+def test_a_thing_of_the_filaments_colour_that_was_there_before_the_print_is_not_the_print():
+    """A small orange clip on the bed, in the picture of the empty bed already."""
+
+    def with_clip(frame: np.ndarray) -> np.ndarray:
+        frame[85:105, 125:145] = np.clip(np.array(ORANGE) + np.random.default_rng(3).normal(0, 4, (20, 20, 3)), 0, 255)
+        return frame
+
+    segmenter = AdaptiveSegmenter(HsvThresholds(15, 45, 0.5, 0.3), with_clip(bed()))
+    for layer in range(1, 9):
+        frame = with_clip(printed(expected(layer).mask, seed=layer))
+        seen = segmenter.observe(frame, expected(layer))
+        segmenter.learn(frame, expected(layer), seen)
+    assert segmenter.separability > 0.8
+    assert iou(seen.mask, expected(8).mask) > 0.95
+
+
 def test_a_print_of_the_beds_own_colour_leaves_the_segmenter_unsure_and_it_says_why():
     segmenter = watched(AdaptiveSegmenter(None), 8, colour=GREY)
     seen = segmenter.observe(printed(expected(8).mask, GREY, 9), expected(8))

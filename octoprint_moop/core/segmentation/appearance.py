@@ -7,6 +7,7 @@ unchanged pixel as what it was, which tells a black print from a black gantry wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import cv2
@@ -143,11 +144,15 @@ def _stay_table() -> np.ndarray:
 _STAY = _stay_table()
 
 
-def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None) -> np.ndarray:
+def evidence(
+    colours: np.ndarray, model: ColourModel, plate: Plate | None = None, change: float = 1.0
+) -> np.ndarray:
     """(H, W) float32: log likelihood ratio of filament against background, within +-EVIDENCE_MAX.
 
     A pixel known to have shown filament shows, if filament, either the same as then or any filament colour; likewise
     for background. 0 where the picture says nothing.
+
+    change : 0..1, how much it counts that a pixel is not what it was: shade and mirror images change a bed as well
     """
     cells = _cells(colours)
     ratio = np.take(model.ratios, cells, mode="clip")  # which they all are within, but numpy need not ask
@@ -156,7 +161,7 @@ def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None
         stay = cv2.LUT(cv2.blur(channel_sum(cv2.absdiff(colours, plate.colours)), (3, 3)), _STAY)
         background = plate.known < 0
         dense = np.take(model.densities, cells + background * np.int32(_CELLS)) + np.float32(_FLOOR)
-        share = np.float32(_STAY_SHARE)
-        gain = cv2.log(stay * (share / dense) + (1 - share))
+        share, least = np.float32(_STAY_SHARE), change * math.log(1 - _STAY_SHARE)
+        gain = cv2.max(cv2.log(stay * (share / dense) + (1 - share)), least)
         ratio += gain * plate.known
     return np.clip(ratio, -EVIDENCE_MAX, EVIDENCE_MAX, out=ratio)

@@ -185,7 +185,8 @@ def weigh(
         small = cv2.LUT(small, np.clip(np.arange(256)[:, None] * gain + 0.5, 0, 255).astype(np.uint8)[None])
     colours = opponent(small)
     sharp = _sharpness(model)
-    seen = evidence(colours, model, look.plate if sharp < 1 else None)
+    # an unchanged bed is the bed, whatever its colour; that it has changed says little where colour says so much
+    seen = evidence(colours, model, look.plate, change=1 - sharp)
     if expected is None:
         odds = seen.copy() if look.place is None else seen + look.place
         if look.plate is not None and (look.plate.known > 0).any():
