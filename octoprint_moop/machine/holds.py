@@ -132,6 +132,11 @@ class Holds:
         """No new holds; one that stands is not touched."""
         self._next_pos, self._plan, self._asked = math.inf, None, False
 
+    def begin(self) -> None:
+        """A new print: nothing is planned for it, and what was wrong with the last one is no matter of its."""
+        self.plan_none()
+        self.missed, self.refused = 0, ""
+
     def ask(self) -> bool:
         """Hold at the very next line of the file. False where no plan is made, or a hold stands already."""
         if self._plan is None or self._hold is not None:
@@ -161,6 +166,13 @@ class Holds:
         hold = self._hold
         if hold is not None:
             hold.drop(why, lost)
+
+    def let_go(self, why: str) -> None:
+        """The same, and it is released at once: whoever took it over is not going to see to it soon."""
+        hold = self._hold
+        if hold is not None:
+            hold.drop(why)
+            self.release(hold)
 
     def move(self, hold: Hold, commands: Sequence[str]) -> None:
         """Send moves while the job is held, and begin to wait anew for the printer to report where they ended."""
@@ -194,7 +206,7 @@ class Holds:
 
     def where(self, timeout_s: float) -> tuple[float, float, float] | None:
         """The position of a printer that prints nothing, as it reports it itself; None where it does not in time."""
-        hold = Hold(-1, -1, f"{SETTLE_TAG}:{next(self._numbers)}")
+        hold = Hold(-1, -1, f"{SETTLE_TAG}:{next(self._numbers)}", unheld=True)
         with self._lock:
             if self._hold is not None or self._plan is not None:
                 return None

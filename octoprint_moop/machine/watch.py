@@ -153,7 +153,7 @@ class Watch:
             copy = job.copy()
             job = job if copy is None else replace(job, path=str(copy))
         self._print = current = Print(job, job.mesh)
-        self.holds.plan_none()
+        self.holds.begin()
         self.responder.begin()
         self._ledger.begin(job.name)
         if job.mesh is None and job.path is None:
@@ -171,7 +171,12 @@ class Watch:
         self._open(current)
 
     def _open(self, current: Print, again: bool = False) -> None:
-        """Make the eye ready for this print, and begin to hold at its layers."""
+        """Make the eye ready for this print, and begin to hold at its layers.
+
+        Until that is done, which may take minutes, the print goes on by itself.
+        """
+        self.holds.plan_none()
+        self.holds.let_go("what is known of the print is being learned anew")
         folder = current.recorder.folder if current.recorder is not None else None
         packed = folder / "job.gcode.gz" if folder is not None else None
         # The packed copy is what is being printed, whatever has become of the file since.

@@ -1,0 +1,97 @@
+"""The watch, on a printer that takes no time: what it owes the print while the eye is busy, and from print to print."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from dataclasses import replace
+
+import pytest
+
+from octoprint_moop.machine import watch
+from octoprint_moop.machine.jobs import Job
+
+from .endless import Endless
+from .test_endless import HEADER
+
+
+@pytest.fixture
+def endless(tmp_path):
+    numbers = itertools.count()
+    made = Endless(tmp_path, lambda: b"\xff\xd8%d\xff\xd9" % next(numbers), "tests.machine.fast_eye", record=False)
+    yield made
+    made.close()
+
+
+def begin(endless, folder, layers=9):
+    job = folder / f"{layers}.gcode"
+    job.write_text("G1 X1\n")
+    endless.watch.job_started(Job(job.name, str(job), HEADER, key="local:x"))
+    endless.wait(lambda: endless.ledger.status["watching"])
+
+
+def slow(endless, do):
+    """Questions of this kind are asked only when the event that comes second is set; the first says that one is due."""
+    due, go_on, ask = threading.Event(), threading.Event(), endless.eye.ask
+
+    def asking(what, *blobs, **arguments):
+        if what == do:
+            due.set()
+            assert go_on.wait(20)
+        return ask(what, *blobs, **arguments)
+
+    endless.eye.ask = asking
+    return due, go_on
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda watching: watching.apply(replace(watching._settings, hue_max_deg=40.0)),
+        lambda watching: watching.mesh_changed("local:x", {"path": "model.stl"}),
+    ],
+    ids=["another colour", "a model"],
+)
+def test_a_print_is_not_held_while_the_eye_learns_it_anew(endless, tmp_path, change):
+    """With three hundred pictures to be gone through again the nozzle would stand on the print for a minute."""
+    begin(endless, tmp_path)
+    assert endless.comes_by(100)
+    due, go_on = slow(endless, "open")
+    change(endless.watch)
+    assert due.wait(5)
+    assert endless.watch.holds.line_queuing("G1 X1", 200) is None and endless.printer.holds == 0
+    go_on.set()
+    endless.wait(lambda: endless.comes_by(300))
+    endless.watch.job_over("done")
+
+
+def test_what_ended_the_watching_of_one_print_is_not_said_of_the_next(endless, tmp_path, monkeypatch):
+    monkeypatch.setattr(watch, "TICK_S", 0.02)
+    begin(endless, tmp_path)
+    for pos in (110, 210, 310):
+        endless.watch.holds.line_queuing("G1 X1", pos)
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "file_changed")
+    endless.watch.job_over("done")
+    said = []
+    endless.ledger._tell = lambda kind, payload: said.append(payload) if kind == "blind" else None
+    begin(endless, tmp_path)
+    endless.watch.holds.line_queuing("G1 X1", 50)
+    threading.Event().wait(0.2)
+    assert endless.ledger.status["watching"]
+    assert {payload["code"] for payload in said} <= {"reading"}
+    endless.watch.job_over("done")
+
+
+def test_a_connection_that_could_not_be_held_is_not_held_against_the_next_print(endless, tmp_path, monkeypatch):
+    monkeypatch.setattr(watch, "TICK_S", 0.02)
+    begin(endless, tmp_path)
+    endless.printer.set_job_on_hold = lambda value, blocking=True: None
+    assert endless.watch.holds.line_queuing("G1 X1", 100) is None
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "not_held")
+    endless.watch.job_over("done")
+    del endless.printer.set_job_on_hold
+    begin(endless, tmp_path)
+    endless.watch.holds.line_queuing("G1 X1", 50)
+    threading.Event().wait(0.2)
+    assert endless.ledger.status["watching"]
+    endless.watch.job_over("done")
