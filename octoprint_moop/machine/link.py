@@ -92,8 +92,8 @@ class EyeLink:
                 if self._child is not None:
                     log.warning("The process that looks at the pictures ended: %s", self._child.last_words())
                     self._child.kill()  # its thread may still wait for a question
-                self._child = _Child(self._module)
-                self.births += 1
+                self._child = None
+                self._child = self._born()
             child = self._child
             self._next_id += 1
             question = _Question({"id": self._next_id, "do": do, "arguments": arguments}, blobs)
@@ -117,6 +117,16 @@ class EyeLink:
         if question.answer is None:
             raise EyeGone(f"The process that looks at the pictures ended ({child.last_words()}).")
         return _result(do, *question.answer)
+
+    def _born(self) -> _Child:
+        """Raises EyeGone where the machine has no room for it: no memory, no disk, no process more."""
+        try:
+            child = _Child(self._module)
+        except OSError as error:
+            why = error.strerror or error
+            raise EyeGone(f"The process that looks at the pictures cannot be started ({why}).") from None
+        self.births += 1
+        return child
 
     @property
     def pid(self) -> int | None:

@@ -95,3 +95,17 @@ def test_a_connection_that_could_not_be_held_is_not_held_against_the_next_print(
     threading.Event().wait(0.2)
     assert endless.ledger.status["watching"]
     endless.watch.job_over("done")
+
+
+def test_a_machine_that_can_start_no_eye_is_told_of_it(endless, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("octoprint_moop.machine.link.tempfile.TemporaryFile", full)
+    monkeypatch.setattr(watch, "REVIVALS", 0)
+    job = tmp_path / "3.gcode"
+    job.write_text("G1 X1\n")
+    endless.watch.job_started(Job(job.name, str(job), HEADER))
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "eye", 5)
+    assert "No space left on device" in endless.ledger.status["blind"]
+    endless.watch.job_over("done")
