@@ -20,7 +20,7 @@ from ..machine.ledger import Ledger
 from ..machine.link import EyeLink
 from ..machine.meshes import Meshes
 from ..machine.setups import Setups
-from ..machine.watch import Job, Watch
+from ..machine.watch import REST_S, Job, Watch
 from ..machine.webcam import Webcam, octoprint_webcam, webcam_name
 from .api import MoopApi
 from .api_calibrations import MoopCalibrationsApi
@@ -65,7 +65,7 @@ class MoopPlugin(
         self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
         # Questions of the set-up never make a check wait, nor a replay a question: each has an eye of its own, born
         # when first needed.
-        self._watch_eye, self._bench_eye, self._replay_eye = EyeLink(), EyeLink(), EyeLink()
+        self._watch_eye, self._bench_eye, self._replay_eye = EyeLink(), EyeLink(rest_s=REST_S), EyeLink(rest_s=REST_S)
         self._ledger = Ledger(self._tell, self._plugin_version)
         self._watch = Watch(
             self._printer, self._webcam, self._watch_eye, self._recordings, data / "cache", self._moop_settings,

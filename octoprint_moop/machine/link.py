@@ -38,8 +38,11 @@ class Interrupted(MoopError):
 
 @dataclass
 class _Question:
+    """turn_s : when it was put to the eye (monotonic); None while it waits for those before it."""
+
     head: dict[str, Any]
     blobs: Sequence[bytes]
+    turn_s: float | None = None
     answered: threading.Event = field(default_factory=threading.Event)
     answer: tuple[dict[str, Any], list[bytes]] | None = None  # None once answered: the eye has gone
 
@@ -49,7 +52,6 @@ class _Owed:
     """A question whose answer nobody waits for any more, and what it would have been given up by."""
 
     question: _Question
-    began_s: float
     timeout_s: float
     tells: bool
 
@@ -57,11 +59,12 @@ class _Owed:
 class EyeLink:
     """One child process at a time, started when it is first asked and after each death. Safe for several threads.
 
-    `births` counts the processes so far: who keeps something in the eye asks by it, to learn that it is gone.
+    rest_s : after so long without a question the process ends by itself, and its memory is given back; None for never
+    births : counts the processes so far: who keeps something in the eye asks by it, to learn that it is gone
     """
 
-    def __init__(self, module: str = "octoprint_moop.machine.eye") -> None:
-        self._module = module
+    def __init__(self, module: str = "octoprint_moop.machine.eye", rest_s: float | None = None) -> None:
+        self._module, self._rest_s = module, rest_s
         self._lock = threading.Lock()
         self._child: _Child | None = None
         self._next_id = 0
@@ -82,31 +85,32 @@ class EyeLink:
         progress : called now and then, by the thread that asks, with the ratio done, where the eye tells it, be it of what
         it was asked before; the time allowed begins anew with each
         birth : ask this process and no later one, for a question about what only it knows
-        Raises the eye's own MoopError; EyeGone where it dies, is ended for taking longer than `timeout_s`, or is not
-        the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
+        Raises the eye's own MoopError; EyeGone where it dies, is ended for taking longer than `timeout_s`, counted from this
+        question's turn, or is not the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
         """
         with self._lock:
             if birth is not None and (birth != self.births or self.pid is None):
                 raise EyeGone("The process that looks at the pictures ended and was started anew.")
             if self._child is None or not self._child.alive:
-                if self._child is not None:
+                if self._child is not None and not self._child.rests:
                     log.warning("The process that looks at the pictures ended: %s", self._child.last_words())
+                if self._child is not None:
                     self._child.kill()  # its thread may still wait for a question
                 self._child = None
                 self._child = self._born()
             child = self._child
             self._next_id += 1
             question = _Question({"id": self._next_id, "do": do, "arguments": arguments}, blobs)
-        child.questions.put(question)
-        began_s, told = time.monotonic(), None
+            child.questions.put(question)
+        told, tells = None, progress is not None
         while not question.answered.wait(0.02 if interrupted is not None else min(0.5, timeout_s)):
             if interrupted is not None and interrupted.is_set():
-                child.owed = [_Owed(question, began_s, timeout_s, progress is not None), *child.owed]
+                child.owed = [_Owed(question, timeout_s, tells), *child.owed]
                 raise Interrupted(f"Nobody waits any more for the answer to {do!r}.")
             if progress is not None and child.progress not in (None, told):
                 told = child.progress
                 progress(told or 0.0)
-            if child.is_due(began_s, timeout_s, progress is not None):
+            if child.is_due(question, timeout_s, tells):
                 child.kill()
                 raise EyeGone(f"Looking took longer than {timeout_s:.0f} s and was given up.")
             if child.is_late:
@@ -121,7 +125,7 @@ class EyeLink:
     def _born(self) -> _Child:
         """Raises EyeGone where the machine has no room for it: no memory, no disk, no process more."""
         try:
-            child = _Child(self._module)
+            child = _Child(self._module, self._lock, self._rest_s)
         except OSError as error:
             why = error.strerror or error
             raise EyeGone(f"The process that looks at the pictures cannot be started ({why}).") from None
@@ -156,12 +160,14 @@ def _result(do: str, head: dict[str, Any], blobs: list[bytes]) -> tuple[dict[str
 class _Child:
     """One life of the process, with the thread that writes its questions and reads its answers, one after the other.
 
+    asking   : held by whoever puts a question
+    rests    : it has ended by itself, since nobody asked it anything for `rest_s`
     owed     : questions whose answers nobody waits for any more; an eye that hangs on one of them would keep all later
     ones waiting
     progress : the ratio done that the eye told last of what it does, None where it has told none
     """
 
-    def __init__(self, module: str) -> None:
+    def __init__(self, module: str, asking: threading.Lock, rest_s: float | None) -> None:
         # From the package's own parent folder, so that the same package is found however the server found it, and
         # nothing in the server's working folder can stand in for a module.
         path = os.pathsep.join(filter(None, (_PACKAGE_PARENT, os.environ.get("PYTHONPATH"))))
@@ -172,7 +178,8 @@ class _Child:
             env={**os.environ, "PYTHONPATH": path},
         )  # fmt: skip
         self.pid = self._process.pid
-        self._given_up = False
+        self._given_up = self.rests = False
+        self._asking, self._rest_s = asking, rest_s
         self.questions: queue.SimpleQueue[_Question | None] = queue.SimpleQueue()
         self.owed: list[_Owed] = []
         self.progress: float | None = None
@@ -184,14 +191,16 @@ class _Child:
         """Whether it runs and is to be asked: it may have been killed (out of memory) while nobody asked it anything."""
         return not self._given_up and self._process.poll() is None
 
-    def is_due(self, began_s: float, timeout_s: float, tells: bool) -> bool:
-        """Whether a question that was asked then has had its time. tells : each word of progress gives it more."""
-        return time.monotonic() > (max(began_s, self._told_s) if tells else began_s) + timeout_s
+    def is_due(self, question: _Question, timeout_s: float, tells: bool) -> bool:
+        """Whether it has had its time. tells : each word of progress gives it more."""
+        if question.turn_s is None:  # what is before it has a time of its own
+            return False
+        return time.monotonic() > (max(question.turn_s, self._told_s) if tells else question.turn_s) + timeout_s
 
     @property
     def is_late(self) -> bool:
         self.owed = [owed for owed in self.owed if not owed.question.answered.is_set()]
-        return any(self.is_due(owed.began_s, owed.timeout_s, owed.tells) for owed in self.owed)
+        return any(self.is_due(owed.question, owed.timeout_s, owed.tells) for owed in self.owed)
 
     def kill(self) -> None:
         self._given_up = True
@@ -214,7 +223,8 @@ class _Child:
         question: _Question | None = None
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
-            while (question := self.questions.get()) is not None:
+            while (question := self._next()) is not None:
+                question.turn_s = time.monotonic()
                 send(self._process.stdin, question.head, question.blobs)
                 head: dict[str, Any] = {}
                 while head.get("id") != question.head["id"]:
@@ -239,6 +249,17 @@ class _Child:
             if question is not None:
                 question.answered.set()
             self._drop_the_rest()
+
+    def _next(self) -> _Question | None:
+        """The next question; None where there will be none."""
+        while True:
+            try:
+                return self.questions.get(timeout=self._rest_s)
+            except queue.Empty:
+                with self._asking:
+                    if self.questions.empty():
+                        self._given_up = self.rests = True
+                        return None
 
     def _drop_the_rest(self) -> None:
         while True:
