@@ -25,6 +25,7 @@ class Resting:
 
     def __init__(self, printer: Heaters) -> None:
         self._printer = printer
+        self._lock = threading.Lock()  # never held while the printer is spoken to
         self._hot: dict[str, float] = {}
         self._off: set[str] = set()
         self._timers: list[threading.Timer] = []
@@ -42,14 +43,22 @@ class Resting:
 
     def end(self) -> None:
         """The print goes on, or is over."""
-        for timer in self._timers:
+        self._ended()
+
+    def _ended(self) -> tuple[dict[str, float], set[str]]:
+        """(what was hot when the pause began, what was turned off since)"""
+        with self._lock:
+            timers, self._timers = self._timers, []
+            hot, off = self._hot, self._off
+            self._hot, self._off = {}, set()
+        for timer in timers:
             timer.cancel()
-        self._timers, self._hot, self._off = [], {}, set()
+        return hot, off
 
     def reheating(self) -> list[str]:
         """The commands that must come before any move when the print is resumed; the bed first, which takes longest."""
-        hot, off, now = self._hot, self._off, self._targets()
-        self.end()
+        hot, off = self._ended()
+        now = self._targets()
         cold = {name: target for name, target in hot.items() if name in off or not now.get(name)}
         several = len([name for name in now if name.startswith("tool")]) > 1
         waits = {"bed": "M190", "chamber": "M191"}
@@ -69,11 +78,18 @@ class Resting:
             return {}
 
     def _turn_off(self, kind: str) -> None:
+        hot = self._hot
         wanted = {heater for heater, target in self._targets().items() if target and heater.startswith(kind)}
+        with self._lock:
+            if self._hot is not hot:  # the print goes on
+                return
+            self._off |= wanted
         try:
             for heater in sorted(wanted):
                 self._printer.set_temperature(heater, 0)
-            self._off |= wanted
+            if self._hot is not hot:  # it went on meanwhile: what was just sent must not be the last word
+                for heater in sorted(wanted & hot.keys()):
+                    self._printer.set_temperature(heater, hot[heater])
             log.info("Paused for long: turned off %s", ", ".join(sorted(wanted)) or "nothing")
         except Exception:
             log.exception("The heaters could not be turned off")

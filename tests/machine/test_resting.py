@@ -1,5 +1,7 @@
 """Heaters in a pause of ours."""
 
+import threading
+
 import pytest
 
 from octoprint_moop.machine.resting import Resting
@@ -72,3 +74,22 @@ def test_who_resumes_in_time_finds_it_hot():
     resting.begin(hot_ends_off_s=60)
     resting.end()
     assert resting.reheating() == [] and not resting._timers
+
+
+def test_heaters_whose_time_is_up_in_the_moment_of_resuming_are_not_left_cold():
+    """Resuming looks at the temperatures while the timer does; whichever comes first, the print does not go on cold."""
+    heaters = Heaters(tool0=215.0, bed=60.0)
+    resting, sent = Resting(heaters), []
+    looks = heaters.get_current_temperatures
+
+    def meanwhile():
+        found = looks()
+        if threading.current_thread() is not threading.main_thread():
+            heaters.get_current_temperatures = looks
+            sent.extend(resting.reheating())
+        return found
+
+    resting.begin(hot_ends_off_s=0.01)
+    heaters.get_current_temperatures = meanwhile
+    wait_for(resting)
+    assert heaters.targets["tool0"] or "M109 S215" in sent
