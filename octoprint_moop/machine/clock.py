@@ -17,7 +17,7 @@ BY_CLOCK_S = 60.0
 GLANCE_S = 1.5
 """How long a picture may take while the firmware stands still."""
 NO_LINE_S = 60.0
-"""Before so long the first line of a file has come by, whatever the printer does with it."""
+"""Before so long the first line of a file, or of a script before it, has come by, whatever the printer does with it."""
 
 
 class Clock:
@@ -39,7 +39,7 @@ class Clock:
                 self.look_now(current, settings)
         elif watching and self._holds.refused:
             self._ledger.blind(blindness.NOT_HELD, f"The print cannot be held for a look ({self._holds.refused}).")
-        elif watching and self._holds.last_pos < 0 and time.monotonic() - current.began_s > NO_LINE_S and not paused:
+        elif watching and not paused and self._no_line_for_long(current):
             self._ledger.blind(
                 blindness.NOT_HELD,
                 "No line of this print comes by here: over this kind of connection it cannot be held for a look.",
@@ -51,6 +51,11 @@ class Clock:
             )
         elif settings.longest_s and settings.capture != "slicer" and _is_time(current, settings.longest_s):
             self._holds.ask()
+
+    def _no_line_for_long(self, current: Print) -> bool:
+        if self._holds.shows or self._holds.last_pos >= 0:
+            return False
+        return time.monotonic() - current.began_s > NO_LINE_S
 
     def look_now(self, current: Print, settings: Settings) -> None:
         """At the next line of the file, or wherever a firmware that prints from its own storage has come to."""

@@ -93,6 +93,7 @@ class Holds:
     missed    : boundaries since the last hold that never came by as a line of the file
     refused   : why the last hold was impossible, "" where it was not
     last_pos  : of the line of the file that came by last; -1 where none has since the last print was over
+    shows     : whether anything that was sent over this connection came by here
     """
 
     def __init__(self, printer: Printer, hand_over: Callable[[Hold], None]) -> None:
@@ -107,6 +108,7 @@ class Holds:
         self.missed = 0
         self.refused = ""
         self.last_pos = -1
+        self.shows = False
 
     # --- for the watching thread ----------------------------------------------------------------------------------
 
@@ -152,7 +154,11 @@ class Holds:
             if self._hold is not None or self._plan is None:
                 return
             self._hold = hold
-        self._printer.commands(["M27", "M400", "M27", "M114", f"G4 P{dwell_s * 1000:.0f}"], tags={hold.tag})
+        try:
+            self._printer.commands(["M27", "M400", "M27", "M114", f"G4 P{dwell_s * 1000:.0f}"], tags={hold.tag})
+        except Exception as error:
+            self._hold, self.refused = None, f"{type(error).__name__}: {error}"
+            return
         self._hand_over(hold)
 
     def glance_again(self, hold: Hold) -> None:
@@ -231,6 +237,7 @@ class Holds:
         return [command, ("M400", None, {hold.tag}), ("M114", None, {hold.tag})]
 
     def line_sent(self, gcode: str | None, tags: Collection[str] | None) -> None:
+        self.shows = True
         hold = self._hold
         if hold is not None and gcode == "M114" and tags and hold.tag in tags:
             hold.armed = True
@@ -265,7 +272,8 @@ class Holds:
     def _take(self, file_pos: int) -> Hold | None:
         plan = self._plan
         if plan is None or self._hold is not None:
-            self._next_pos = math.inf
+            # A hold is followed by a plan made anew; a mere question where the printer stands is not.
+            self._next_pos = math.inf if plan is None else plan.after(file_pos)
             return None
         layer = plan.wanted.get(file_pos)
         if self._asked:

@@ -32,7 +32,7 @@ log = logging.getLogger("octoprint.plugins.moop.watch")
 
 REVIVALS = 5
 REST_S = 600.0
-"""After so long without a print the eye is closed, and its memory given back."""
+"""After so long without a print, or a question of the set-up, an eye is closed, and its memory given back."""
 
 
 class Watch:
@@ -95,6 +95,8 @@ class Watch:
         self.holds.plan_none()
         self.holds.drop(how, lost)
         self.holds.last_pos = -1
+        if lost:
+            self.holds.shows = False
         self._mailbox.put(lambda: self._end(how))
 
     def job_paused(self) -> None:

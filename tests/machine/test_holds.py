@@ -129,3 +129,29 @@ def test_where_a_printer_stands_can_be_asked_while_nothing_prints(holds, printer
     assert found == [(1.0, 2.0, 3.0)]
     holds.plan([100])
     assert holds.where(0.01) is None, "not while a print is watched"
+
+
+def test_a_question_where_the_printer_stands_costs_a_print_that_begins_meanwhile_one_look_at_most(holds, printer, taken):
+    asking = threading.Thread(target=lambda: holds.where(5))
+    asking.start()
+    while not printer.sent:
+        pass
+    holds.plan([100, 200])
+    assert holds.line_queuing("G1", 100) is None, "it still stands in the way"
+    holds.drop("that is enough")
+    asking.join()
+    assert holds.line_queuing("G1", 200) is not None and taken[0].layer == 1
+
+
+def test_a_look_in_passing_that_cannot_be_sent_does_not_stand_in_the_way_of_the_next(holds, printer, taken):
+    def gone(commands, *, tags):
+        raise RuntimeError("No connection")
+
+    holds.plan([100])
+    sends, printer.commands = printer.commands, gone
+    holds.glance(1.5)
+    assert not taken and "No connection" in holds.refused
+    printer.commands = sends
+    holds.begin()
+    holds.plan([100])
+    assert holds.line_queuing("G1", 100) is not None

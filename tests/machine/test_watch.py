@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from octoprint_moop.machine import watch
+from octoprint_moop.machine import clock, watch
 from octoprint_moop.machine.jobs import Job
 
 from .endless import Endless
@@ -108,4 +108,19 @@ def test_a_machine_that_can_start_no_eye_is_told_of_it(endless, tmp_path, monkey
     endless.watch.job_started(Job(job.name, str(job), HEADER))
     endless.wait(lambda: endless.ledger.status["blind_code"] == "eye", 5)
     assert "No space left on device" in endless.ledger.status["blind"]
+    endless.watch.job_over("done")
+
+
+def test_a_script_that_heats_for_minutes_before_the_file_is_no_connection_that_shows_nothing(
+    endless, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(clock, "NO_LINE_S", 0.1)
+    monkeypatch.setattr(watch, "TICK_S", 0.02)
+    endless.watch.holds.line_sent("M190", {"source:script", "script:beforePrintStarted"})
+    begin(endless, tmp_path)
+    threading.Event().wait(0.4)
+    assert endless.ledger.status["watching"]
+    endless.watch.job_over("disconnected", lost=True)
+    begin(endless, tmp_path)
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "not_held", 5)
     endless.watch.job_over("done")
