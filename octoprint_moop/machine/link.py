@@ -86,7 +86,8 @@ class EyeLink:
         it was asked before; the time allowed begins anew with each
         birth : ask this process and no later one, for a question about what only it knows
         Raises the eye's own MoopError; EyeGone where it dies, is ended for taking longer than `timeout_s`, counted from this
-        question's turn, or is not the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye goes on, its answer is dropped).
+        question's turn, or is not the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye
+        goes on, its answer is dropped).
         """
         with self._lock:
             if birth is not None and (birth != self.births or self.pid is None):

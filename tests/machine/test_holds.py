@@ -131,7 +131,9 @@ def test_where_a_printer_stands_can_be_asked_while_nothing_prints(holds, printer
     assert holds.where(0.01) is None, "not while a print is watched"
 
 
-def test_a_question_where_the_printer_stands_costs_a_print_that_begins_meanwhile_one_look_at_most(holds, printer, taken):
+def test_a_question_where_the_printer_stands_costs_a_print_that_begins_meanwhile_one_look_at_most(
+    holds, printer, taken
+):
     asking = threading.Thread(target=lambda: holds.where(5))
     asking.start()
     while not printer.sent:
