@@ -100,7 +100,7 @@ class MoopCalibrationsApi(BlueprintPlugin):
 
     def _seen_now(self) -> Seen:
         """How the webcam's pictures come now; their size only where one was taken since the server started."""
-        return Seen(self._webcam.last_size_px, **octoprint_turns(self._moop_settings.webcam))
+        return Seen(self._webcam.size_px(self._setup_key()[1]), **octoprint_turns(self._moop_settings.webcam))
 
     # --- the bed's motion -----------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import octoprint.plugin
 from octoprint.access import ADMIN_GROUP, READONLY_GROUP, USER_GROUP
+from octoprint.access.permissions import Permissions
 from octoprint.events import Events
 
 from ..core.errors import FrameError, SettingsError
@@ -62,7 +63,7 @@ class MoopPlugin(
         self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
         self._meshes, self._meshes_lock = Meshes(data / "meshes"), threading.Lock()
         self._moop_settings = self._stored_settings()
-        self._webcam = Webcam(lambda: octoprint_webcam(self._moop_settings.webcam))
+        self._webcam = Webcam(lambda name: octoprint_webcam(name or self._moop_settings.webcam))
         # Questions of the set-up never make a check wait, nor a replay a question: each has an eye of its own, born
         # when first needed.
         self._watch_eye, self._bench_eye, self._replay_eye = EyeLink(), EyeLink(rest_s=REST_S), EyeLink(rest_s=REST_S)
@@ -83,13 +84,16 @@ class MoopPlugin(
 
     def _tell(self, kind: str, payload: dict[str, Any]) -> None:
         """From the watching thread to the pages and to OctoPrint's event bus."""
-        send = self._plugin_manager.send_plugin_message
         if kind in ("status", "check"):
-            send(self._identifier, {"type": kind, kind: payload})
+            self._send({"type": kind, kind: payload}, Permissions.PLUGIN_MOOP_VIEW)
         elif kind in ("failed", "unwatched") or (kind == "suspect" and payload["action"] != "none"):
-            send(self._identifier, {"type": kind, **payload})
+            self._send({"type": kind, **payload}, Permissions.PLUGIN_MOOP_VIEW)
         if kind != "status":
             self._event_bus.fire(f"plugin_{self._identifier}_{kind}", payload)
+
+    def _send(self, message: dict[str, Any], to: Any) -> None:
+        """To the pages of those who have this permission."""
+        self._plugin_manager.send_plugin_message(self._identifier, message, permissions=[to])
 
     # --- events ---------------------------------------------------------------------------------------------------
 
@@ -111,7 +115,7 @@ class MoopPlugin(
             watch.job_over("done")
         elif event == Events.PRINT_CANCELLED:
             watch.job_over("cancelled")
-        elif event == Events.PRINT_FAILED:
+        elif event == Events.PRINT_FAILED and payload.get("reason") != "cancelled":  # late, and told before as such
             watch.job_over("failed")
         elif event == Events.PRINT_CANCELLING:
             watch.job_stopping("the print is being cancelled")
@@ -127,16 +131,17 @@ class MoopPlugin(
     def _job(self, payload: Any) -> Job:
         name = str(payload.get("name") or payload.get("path") or "")
         origin, path = str(payload.get("origin")), str(payload.get("path") or "")
-        key = self._job_key(origin, path)
-        mesh, header = self._mesh_of(key), self._setups.get(*self._setup_key())
+        key, (profile, webcam) = self._job_key(origin, path), self._setup_key()
+        mesh, header = self._mesh_of(key), self._setups.get(profile, webcam)
         if origin != "local":
             why = (
                 "This print runs from the printer's own storage, where nobody can hold it for a look. With the same file "
                 "among OctoPrint's own, or a model and its layer height attached, it can still be watched."
             )
             uploads, size = Path(self._file_manager.path_on_disk("local", "")), payload.get("size")
-            return Job(name, None, header, why, key, mesh, held=False, copy=lambda: find_copy(uploads, path, size))
-        return Job(name, self._file_manager.path_on_disk("local", path), header, "", key, mesh)
+            copy = lambda: find_copy(uploads, path, size)  # noqa: E731
+            return Job(name, None, header, why, key, mesh, webcam, held=False, copy=copy)
+        return Job(name, self._file_manager.path_on_disk("local", path), header, "", key, mesh, webcam)
 
     def _setup_key(self) -> tuple[str, str]:
         """Printer profile and webcam that a set-up holds for."""
@@ -161,12 +166,10 @@ class MoopPlugin(
         good = {}
         for name, value in data.items():
             try:
-                good[name] = read_value(name, value)
+                good[name] = read_value(name, DEFAULTS.get(name) if value is None else value)
             except SettingsError as error:
                 self._logger.warning("Not saved: %s", error)
-                self._plugin_manager.send_plugin_message(
-                    self._identifier, {"type": "refused", "setting": name, "message": str(error)}
-                )
+                self._send({"type": "refused", "setting": name, "message": str(error)}, Permissions.SETTINGS)
         saved = octoprint.plugin.SettingsPlugin.on_settings_save(self, good)
         self._moop_settings = self._stored_settings()
         self._watch.apply(self._moop_settings)

@@ -28,6 +28,7 @@ class Job:
     header : a recording's header, or None where the set-up was never made
     key    : tells it from other jobs, as `meshes.Meshes` knows it
     mesh   : what the eye must know of the mesh that is to be used; None for none
+    webcam : whose place `header` tells; "" for the one that is set
     held   : False where the printer reads it from its own storage: it can be stopped for a look, but not held
     copy   : finds the same file among OctoPrint's own, where it is not; slow
     """
@@ -38,6 +39,7 @@ class Job:
     why_not: str = ""
     key: str = ""
     mesh: dict[str, Any] | None = None
+    webcam: str = ""
     held: bool = True
     copy: Callable[[], Path | None] = lambda: None
     over: threading.Event = field(default_factory=threading.Event)

@@ -163,7 +163,7 @@ class Looks:
         for attempt in range(ATTEMPTS):
             if attempt and hold.stopped.wait(2 * APART_S):
                 raise Interrupted(hold.dropped)
-            jpeg = self._webcam.grab(max(until_s - time.monotonic(), 0.5), hold.stopped)
+            jpeg = self._webcam.grab(max(until_s - time.monotonic(), 0.5), hold.stopped, current.job.webcam)
             if jpeg != current.last_jpeg:
                 current.last_jpeg = jpeg
                 return jpeg

@@ -16,15 +16,20 @@ class Webcam:
     """One webcam. A provider may hang for longer than anybody wants to wait, so each picture is fetched by a thread of
     its own; while one hangs, no second one is started.
 
-    find : returns (name, take) where take() gives the picture in pieces; raises FrameError where there is no webcam
+    find : of a name, "" for the one that is set, returns (name, take) where take() gives the picture in pieces; raises
+    FrameError where there is no such webcam
     """
 
-    def __init__(self, find: Callable[[], tuple[str, Callable[[], Iterable[bytes]]]]) -> None:
+    def __init__(self, find: Callable[[str], tuple[str, Callable[[], Iterable[bytes]]]]) -> None:
         self._find = find
         self._busy = threading.Lock()
-        self.last_size_px: list[int] | None = None  # [width, height] of the last picture
+        self._sizes_px: dict[str, list[int] | None] = {}
 
-    def grab(self, timeout_s: float, interrupted: threading.Event | None = None) -> bytes:
+    def size_px(self, name: str) -> list[int] | None:
+        """[width, height] of the last picture of the webcam of that name; None where there was none."""
+        return self._sizes_px.get(name)
+
+    def grab(self, timeout_s: float, interrupted: threading.Event | None = None, name: str = "") -> bytes:
         """A JPEG, begun after the call. Raises FrameError within about `timeout_s`, or soon after `interrupted`."""
         waited_s = 0.0
         # The page and the watch may want a picture at the same time: the second waits for its turn.
@@ -37,7 +42,7 @@ class Webcam:
 
         def fetch() -> None:
             try:
-                fetched.append(self._fetch(done))
+                fetched.append(self._fetch(name, done))
             except Exception as error:  # whatever a provider raises is the same to the print: no picture
                 fetched.append(error)
             finally:
@@ -59,8 +64,8 @@ class Webcam:
             raise FrameError(f"The webcam gave no picture ({_in_short(result)}). Look at its snapshot address.")
         return result
 
-    def _fetch(self, given_up: threading.Event) -> bytes:
-        _, take = self._find()
+    def _fetch(self, name: str, given_up: threading.Event) -> bytes:
+        name, take = self._find(name)
         pieces, size = [], 0
         for piece in take():
             pieces.append(piece)
@@ -71,7 +76,7 @@ class Webcam:
                 raise FrameError(f"The webcam sent more than {MAX_JPEG_BYTES >> 20} MB. Is this a stream's address?")
         picture = b"".join(pieces)
         check_jpeg(picture)
-        self.last_size_px = jpeg_size_px(picture)
+        self._sizes_px[name] = jpeg_size_px(picture)
         return picture
 
 

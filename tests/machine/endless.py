@@ -53,7 +53,7 @@ class Endless:
     ) -> None:
         self.printer, self.eye = Printer(), EyeLink(module)
         self.ledger = Ledger(lambda kind, payload: None, "1.0")
-        webcam = Webcam(lambda: ("painted", lambda: [frame()]))
+        webcam = Webcam(lambda name: ("painted", lambda: [frame()]))
         chosen = Settings(**{"settle_s": 0.0, "on_failed": "none", **settings})
         self.watch = Watch(self.printer, webcam, self.eye, folder / "recordings", folder / "cache", chosen, self.ledger)
         self.watch.start()

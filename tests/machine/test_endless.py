@@ -61,7 +61,7 @@ def test_looks_in_vain_do_not_hold_a_print_up_at_every_layer(endless, tmp_path):
     """A webcam that hangs costs its time limit each time; a tenth of the print's time is enough for that."""
     works, asked_s = [], []
 
-    def find():
+    def find(name):
         asked_s.append(time.monotonic())
         if works:
             return "painted", lambda: [b"\xff\xd8%d\xff\xd9" % len(asked_s)]

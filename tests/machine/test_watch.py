@@ -10,6 +10,7 @@ import pytest
 
 from octoprint_moop.machine import clock, watch
 from octoprint_moop.machine.jobs import Job
+from octoprint_moop.machine.webcam import Webcam
 
 from .endless import Endless
 from .test_endless import HEADER
@@ -123,4 +124,24 @@ def test_a_script_that_heats_for_minutes_before_the_file_is_no_connection_that_s
     endless.watch.job_over("disconnected", lost=True)
     begin(endless, tmp_path)
     endless.wait(lambda: endless.ledger.status["blind_code"] == "not_held", 5)
+    endless.watch.job_over("done")
+
+
+def test_another_webcam_in_the_settings_is_for_the_next_print(endless, tmp_path):
+    """The camera's place is that of the webcam with which the print began."""
+    chosen, looked = ["front"], []
+
+    def find(name):
+        looked.append(name or chosen[0])
+        return looked[-1], lambda: [b"\xff\xd8%d\xff\xd9" % len(looked)]
+
+    endless.watch._looks._webcam = Webcam(find)
+    job = tmp_path / "9.gcode"
+    job.write_text("G1 X1\n")
+    endless.watch.job_started(Job(job.name, str(job), HEADER, webcam="front"))
+    endless.wait(lambda: endless.ledger.status["watching"])
+    assert endless.comes_by(100)
+    chosen[0] = "side"
+    assert endless.comes_by(200)
+    assert looked == ["front", "front"]
     endless.watch.job_over("done")
