@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 
 from octoprint_moop.core.errors import GcodeError
 from octoprint_moop.core.gcode import read as gcode
-from octoprint_moop.core.gcode.read import looks_relative, read_gcode_bytes
+from octoprint_moop.core.gcode.head import HEAD_BYTES, looks_relative
+from octoprint_moop.core.gcode.read import read_gcode_bytes
 from octoprint_moop.core.gcode.rows import OTHER, split
 
 from .plain_reader import plain_read
 
 
 def assert_read_alike(data: bytes) -> None:
-    plain = plain_read(data, looks_relative(data[: gcode.HEAD_BYTES]))
+    plain = plain_read(data, looks_relative(data[:HEAD_BYTES]))
     if not plain["beads"]:
         with pytest.raises(GcodeError):
             read_gcode_bytes(data)
@@ -212,7 +213,7 @@ def test_widths_that_are_read_together_are_read_as_one_by_one(said, monkeypatch)
     parts = [f";WIDTH:{width}\nG92 E0\n{moves}" for width in ("0.61", said, "0.47")]
     data = ("M82\nG1 Z0.2\n" + "".join(parts)).encode()
     together = read_gcode_bytes(data).beads_mm[:, 6]
-    monkeypatch.setattr(gcode, "_plain_numbers", lambda text, begin, end: None)
+    monkeypatch.setattr("octoprint_moop.core.gcode.remarks._WIDTHS", ())
     assert np.array_equal(together, read_gcode_bytes(data).beads_mm[:, 6])
     assert set(together[:40]) == {np.float32(0.61)} and set(together[80:]) == {np.float32(0.47)}
     if said[0:3] == "0.4" and said.rstrip().count(".") == 1 and "," not in said:

@@ -128,12 +128,6 @@ DECLARATIONS = {  # words of the settings that slicers append: what they mean he
 
 
 @lru_cache(maxsize=4096)
-def meaning_of(raw: bytes) -> tuple[Meaning, ...]:
-    """The same of a line that is nothing but a comment, semicolon included."""
-    return meaning(raw[1:].decode("utf-8", "replace"))
-
-
-@lru_cache(maxsize=4096)
 def meaning(comment: str) -> tuple[Meaning, ...]:
     """What a comment (the text after the semicolon) says; empty where it says nothing that matters."""
     text = comment[:200].rstrip()

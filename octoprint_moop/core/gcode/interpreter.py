@@ -11,7 +11,6 @@ import math
 import re
 from array import array
 from collections import Counter
-from functools import lru_cache
 
 import numpy as np
 
@@ -31,26 +30,14 @@ _COMMAND = re.compile(r"\s*(?:N\s*\d+\s*)?([GMT])\s*(\d{1,6})(?:\.(\d+))?", re.I
 _MACRO = re.compile(r"\s*(?:N\s*\d+\s*)?([A-Za-z_]\w*)\s*(.*)")
 
 # Commands that neither move nor extrude nor wait: a layer's retraction may have them in its midst.
-_QUIET = frozenset((73, 106, 107, 117, 118, 204, 205, 220, 221, 400, 486, 572, 593, 624, 625, 900))
+QUIET = frozenset((73, 106, 107, 117, 118, 204, 205, 220, 221, 400, 486, 572, 593, 624, 625, 900))
 # Commands that move without a word about where, or not at all: homing's kin, probing, cleaning, parking, planes. What
 # extrudes next says where it begins.
 _NO_PATH = frozenset((4, 11, 12, 17, 21, 26, 27, 29, 30, 31, 32, 33, 34, 60, 61, 80))
 _KEEPS_TAIL = frozenset((17,))
-_MEANT_M = frozenset((82, 83, 200, 221, 486))
-_PLAIN_M = re.compile(rb"M0{0,4}(\d{1,4})(?![\d.])[^;]*$")
+MEANT_M = frozenset((82, 83, 200, 221, 486))  # what `run` does something with
 # What arcs may come to: a file of nothing else must not fill the memory. Beads in all, and for each byte of the file.
 SPARE_BEADS, BEADS_PER_BYTE, FEWEST_CHORDS = 200_000, 0.5, 4
-
-
-@lru_cache(maxsize=4096)
-def idle_command(raw: bytes) -> bool | None:
-    """Of a line that `Interpreter.run` would do nothing with: whether it leaves a retraction's tail open. None of others.
-
-    For settings of fans and acceleration, of which there are as many as comments.
-    """
-    found = _PLAIN_M.match(raw)
-    number = int(found.group(1)) if found else 82
-    return None if number in _MEANT_M else number in _QUIET
 
 
 class Interpreter:
@@ -374,7 +361,7 @@ class Interpreter:
                 self.flow = percent / 100.0
         elif number == 486:
             self.objects.m486(rest, self.laid, end_pos)
-        if number not in _QUIET:
+        if number not in QUIET:
             self.tail_open = False
 
     def _volumetric(self, words: dict[str, float | None]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from typing import Callable
 
 import numpy as np
 
@@ -71,24 +72,23 @@ class Said:
     def take(self, meanings: tuple[Meaning, ...], bead: int) -> None:
         """Take note of what a comment means."""
         for said in meanings:
-            if isinstance(said, Width):
-                self.width.at(bead, said.mm)
-            elif isinstance(said, Height):
-                self.height.at(bead, said.mm)
-            elif isinstance(said, Layer):
-                self.layers.setdefault(said.dialect, array("q")).append(bead)
-            elif isinstance(said, Feature):
-                self.role.at(bead, said.role)
-                self.custom = said.custom
-                if said.custom:
-                    self.width.at(bead, NOT_SAID)
-                    self.height.at(bead, NOT_SAID)
-            elif isinstance(said, Label):
-                self.label(said.system, said.name, bead)
-            elif isinstance(said, Slicer):
-                self.slicer = self.slicer or said.name
-            elif isinstance(said, Declared):
-                self.declared.setdefault(said.setting, said.values)
+            _NOTED[type(said)](self, said, bead)
+
+    def _feature(self, said: Feature, bead: int) -> None:
+        self.role.at(bead, said.role)
+        self.custom = said.custom
+        if said.custom:
+            self.width.at(bead, NOT_SAID)
+            self.height.at(bead, NOT_SAID)
+
+    def _layer(self, said: Layer, bead: int) -> None:
+        self.layers.setdefault(said.dialect, array("q")).append(bead)
+
+    def _slicer(self, said: Slicer, bead: int) -> None:
+        self.slicer = self.slicer or said.name
+
+    def _declared(self, said: Declared, bead: int) -> None:
+        self.declared.setdefault(said.setting, said.values)
 
     def label(self, system: str, name: str | None, bead: int) -> None:
         if system not in self.labels:
@@ -99,3 +99,14 @@ class Said:
         """The first value of a setting that the file declares, or None."""
         values = self.declared.get(name)
         return values[0] if values else None
+
+
+_NOTED: dict[type, Callable[..., None]] = {
+    Feature: Said._feature,
+    Label: lambda self, said, bead: self.label(said.system, said.name, bead),
+    Width: lambda self, said, bead: self.width.at(bead, said.mm),
+    Height: lambda self, said, bead: self.height.at(bead, said.mm),
+    Layer: Said._layer,
+    Slicer: Said._slicer,
+    Declared: Said._declared,
+}
