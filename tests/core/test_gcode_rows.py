@@ -200,8 +200,8 @@ FIGURES = st.from_regex(r"-?([0-9]{1,7}\.[0-9]{0,7}|\.[0-9]{1,14}|[0-9]{1,15})",
 @given(st.lists(st.one_of(number(-9999, 9999, 5), FIGURES), min_size=1, max_size=20))
 def test_numbers_are_read_to_the_last_bit(numbers):
     lines = split("".join(f"G1 X{text}\n" for text in numbers).encode())
-    said, values = lines.words[ord("X")]
-    assert said.all()
+    rows, values = lines.words[ord("X")]
+    assert rows.tolist() == list(range(len(numbers)))
     assert values.tolist() == [float(text) for text in numbers]
 
 

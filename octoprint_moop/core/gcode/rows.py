@@ -36,7 +36,8 @@ class Lines:
     start, end : (n,) int64, offsets within the chunk; end is the newline's
     kind       : (n,) int8, MOVE … UNRETRACT for rows, OTHER
     rows_before : (n + 1,) int64
-    words      : letter -> ((m,) bool, (m,) float64): whether the row has it, and its number
+    words      : letter -> the rows that have it, (k,) int64, ascending, and its numbers, (k,) float64; of several in one
+                 row the last counts
     figures    : to read other numbers of the chunk
     """
 
@@ -50,7 +51,7 @@ class Lines:
 
 def split(chunk: bytes) -> Lines:
     """Lines and words of a chunk, which must end with a newline."""
-    text = np.frombuffer(chunk + _PAD, np.uint8)
+    text = np.frombuffer(chunk, np.uint8)
     figures = Figures(chunk)
     stops = np.flatnonzero(figures.worth == _ENDS_WORD)  # pieces end here; a line's first one is its command
     stop_byte = text.take(stops)
@@ -69,7 +70,7 @@ def split(chunk: bytes) -> Lines:
     np.cumsum(kind != OTHER, out=rows_before[1:])
     has_arcs = bool(((kind == ARC_CW) | (kind == ARC_CCW)).any())
     letters = AXES + ARC_WORDS if has_arcs else AXES
-    columns = {letter: words.column(letter, int(rows_before[-1])) for letter in letters}
+    columns = {letter: words.of(letter) for letter in letters}
     return Lines(start, end, kind, rows_before, columns, figures)
 
 
@@ -82,13 +83,13 @@ def _after(last: np.ndarray) -> np.ndarray:
 
 def _kinds(text: np.ndarray, start: np.ndarray) -> np.ndarray:
     """(n,) int8: what each line looks like by its first five bytes."""
-    b0, b1, b2 = text.take(start), text.take(start + 1), text.take(start + 2)
+    b0, b1, b2 = (text.take(start + i, mode="clip") for i in range(3))
     g = b0 == ord("G")
     blank = g & (b2 == _BLANK)
     kind = np.where(blank & (b1 >= ord("0")) & (b1 <= ord("3")), b1.view(np.int8) - ord("0"), OTHER).astype(np.int8)
     kind[kind == 1] = MOVE
     rare = np.flatnonzero(g & ~blank)
-    b1, b2, b3, b4 = (text.take(start[rare] + i) for i in range(1, 5))
+    b1, b2, b3, b4 = (text.take(start[rare] + i, mode="clip") for i in range(1, 5))
     kind[rare[(b1 == ord("9")) & (b2 == ord("2")) & (b3 == _BLANK) & (b4 == ord("E"))]] = SET_E
     over = (b3 == ord("\n")) | (b3 == ord("\r")) | (b3 == ord(";")) | ((b3 == _BLANK) & (b4 == ord(";")))
     kind[rare[(b1 == ord("1")) & (b2 == ord("0")) & over]] = RETRACT
@@ -140,14 +141,10 @@ class _Words:
         self._row = (np.cumsum(~rows) - 1).take(self._row.take(keep))
         self._letter, self._numbers = self._letter.take(keep), self._numbers.take(keep)
 
-    def column(self, letter: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of each row: whether it has this letter, and its number."""
+    def of(self, letter: int) -> tuple[np.ndarray, np.ndarray]:
+        """The rows that have this letter, and its numbers."""
         pick = np.flatnonzero(self._letter == letter)
-        said, numbers = np.zeros(rows, bool), np.zeros(rows)
-        where = self._row.take(pick)
-        said[where] = True
-        numbers[where] = self._numbers.take(pick)
-        return said, numbers
+        return self._row.take(pick), self._numbers.take(pick)
 
 
 _EIGHT = 8

@@ -13,7 +13,6 @@ from .interpreter import FARTHEST_MM, LEAST_FEED_MM, Interpreter
 from .rows import ARC_CCW, ARC_CW, MOVE, RETRACT, SET_E, UNRETRACT, Lines
 from .travels import FAR_MM
 
-_QUIET, _BEAD, _RETRACT, _STOP = 0, 1, 2, 3
 _E = ord("E")
 
 
@@ -28,106 +27,106 @@ class Walk:
     def __init__(self, machine: Interpreter, lines: Lines, kind: np.ndarray, first: int, last: int) -> None:
         self._machine = machine
         self._kind = kind[first:last]
-        self._words = {code: (said[first:last], values[first:last]) for code, (said, values) in lines.words.items()}
-        self._position = self._positions()
+        self._words = {}
+        for letter, (rows, numbers) in lines.words.items():
+            among = slice(*np.searchsorted(rows, (first, last)))
+            self._words[letter] = rows[among] - first, numbers[among]
+        self._place = [self._coordinate(i) for i in range(3)]
         self._e_after, self._feed = self._feeds()
-        farthest = max(np.abs(self._position).max(), np.abs(self._feed).max(), np.abs(self._e_after).max())
+        farthest = max(np.abs(column).max() for column in (*self._place, self._feed, self._e_after))
         self.sane = bool(farthest < FARTHEST_MM)
         if self.sane:
             self._lay()
 
-    def _positions(self) -> np.ndarray:
-        """(rows + 1, 3) float64: where the nozzle is before each row, and at the end."""
+    def _coordinate(self, axis: int) -> np.ndarray:
+        """(rows + 1,) float64: where the nozzle is before each row, and at the end; X, Y or Z."""
         machine = self._machine
-        position = np.empty((len(self._kind) + 1, 3))
-        for i, letter in enumerate("XYZ"):
-            said, values = self._words[ord(letter)]
-            values = values * machine.unit_mm
-            column = position[:, i]
-            column[0] = machine.position[i]
-            if machine.relative:
-                column[1:] = values  # 0 where not said
-                np.cumsum(column, out=column)
-            else:
-                column[1:] = values + machine.places.offset[i]
-                column[:] = column[_last_said(said)]
-        return position
+        rows, numbers = self._words[ord("XYZ"[axis])]
+        numbers = numbers * machine.unit_mm
+        if machine.relative:
+            return np.cumsum(np.concatenate([[machine.position[axis]], self._spread(rows, numbers)]))
+        return self._held(machine.position[axis], rows, numbers + machine.places.offset[axis])
+
+    def _held(self, before: float, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(rows + 1,): what holds before each row, and at the end, where each value holds from after its row on."""
+        bounds = np.concatenate([[0], rows + 1, [len(self._kind) + 1]])
+        return np.repeat(np.concatenate([[before], values]), bounds[1:] - bounds[:-1])
+
+    def _spread(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(rows,): the value of each row, 0 of those that have none."""
+        spread = np.zeros(len(self._kind))
+        spread[rows] = values
+        return spread
 
     def _feeds(self) -> tuple[np.ndarray, np.ndarray]:
         """E after each row, and what each row feeds: (rows + 1,), (rows,)."""
         machine = self._machine
-        said, values = self._words[_E]
-        values = values * machine.e_unit_mm
-        reset = self._kind == SET_E
-        moves = said & ~reset
-        e = np.concatenate([[machine.e], values])
-        if machine.relative or machine.relative_e:
-            feed = np.where(moves, values, 0.0)
-            begin = 0
-            for end in [*(np.flatnonzero(reset) + 1).tolist(), len(e)]:  # E grows from each reset to the next
-                e[begin + 1 : end] = feed[begin : end - 1]
-                np.cumsum(e[begin:end], out=e[begin:end])
-                begin = end
+        rows, numbers = self._words[_E]
+        numbers = numbers * machine.e_unit_mm
+        reset = np.flatnonzero(self._kind == SET_E)
+        if not (machine.relative or machine.relative_e):
+            e = self._held(machine.e, rows, numbers)
+            feed = e[1:] - e[:-1]
+            feed[reset] = 0.0
             return e, feed
-        e = e[_last_said(said)]
-        return e, np.where(moves, e[1:] - e[:-1], 0.0)
+        feed = self._spread(rows, numbers)
+        e = np.concatenate([[machine.e], feed])
+        feed[reset] = 0.0
+        begin = 0
+        for end in [*(reset + 1).tolist(), len(e)]:  # E grows from each reset to the next
+            np.cumsum(e[begin:end], out=e[begin:end])
+            begin = end
+        return e, feed
 
     def _lay(self) -> None:
-        kind, position, feed = self._kind, self._position, self._feed
-        step = np.abs(np.diff(position, axis=0))
-        moved = (step[:, 0] > LEAST_MOVE_MM) | (step[:, 1] > LEAST_MOVE_MM)
-        feeds = feed > LEAST_FEED_MM
-        bead = feeds & moved & (kind == MOVE)
-        self._class = np.zeros(len(kind), np.int8)
-        self._class[(kind == MOVE) & (moved | (step[:, 2] > LEAST_MOVE_MM) | feeds)] = _STOP
-        self._class[kind == UNRETRACT] = _STOP
-        arcs = np.flatnonzero((kind == ARC_CW) | (kind == ARC_CCW))
-        self._class[arcs] = _STOP
-        self._class[bead] = _BEAD
-        self._class[(feed < -LEAST_FEED_MM) | (kind == RETRACT)] = _RETRACT
-
-        count = bead.astype(np.int64)
-        fed = feed / self._machine.feed_area_mm2 * self._machine.flow
+        x, y, z = self._place
+        move = self._kind == MOVE
+        self._moved = (np.abs(x[1:] - x[:-1]) > LEAST_MOVE_MM) | (np.abs(y[1:] - y[:-1]) > LEAST_MOVE_MM)
+        self._feeds_any = self._feed > LEAST_FEED_MM
+        bead = self._feeds_any & self._moved & move
+        fed = self._feed / self._machine.feed_area_mm2 * self._machine.flow
+        path = np.zeros((len(bead), 8), np.float32)
+        for i, column in enumerate((x[:-1], y[:-1], z[:-1], x[1:], y[1:], z[1:], fed)):
+            path[:, i] = column
+        self.beads_upto = np.zeros(len(bead) + 1, np.int64)
+        arcs = np.flatnonzero((self._kind == ARC_CW) | (self._kind == ARC_CCW))
         expanded = self._arcs(arcs, fed) if len(arcs) else None
-        if expanded is not None:
-            rows, counts, _, _ = expanded
-            count[rows] = counts
-            self._class[rows] = _BEAD
-        self.beads_upto = np.concatenate([[0], np.cumsum(count)])
-        self.path = np.zeros((int(self.beads_upto[-1]), 8), np.float32)
-        moves = np.flatnonzero(bead)
-        at = self.beads_upto[moves]
-        self.path[at, :3] = position[moves]
-        self.path[at, 3:6] = position[moves + 1]
-        self.path[at, 6] = fed[moves]
-        if expanded is not None:
-            rows, counts, start_end, fed_each = expanded
-            at = np.repeat(self.beads_upto[rows] - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
-            self.path[at, :6] = start_end
-            self.path[at, 6] = fed_each
-        self._count = count
-        self._travel = (kind == MOVE) & moved & ~feeds
+        if expanded is None:
+            self._laying = np.flatnonzero(bead)  # rows that lay beads
+            self._count = np.ones(len(self._laying), np.int64)
+            np.cumsum(bead, out=self.beads_upto[1:])
+            self.path = path.take(self._laying, axis=0)
+            return
+        rows, counts, start_end, fed_each = expanded
+        count = bead.astype(np.int64)
+        count[rows] = counts
+        self._laying = np.flatnonzero(count)
+        self._count = count[self._laying]
+        np.cumsum(count, out=self.beads_upto[1:])
+        self.path = path.repeat(count, axis=0)
+        at = np.repeat(self.beads_upto[rows] - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
+        self.path[at, :6] = start_end
+        self.path[at, 6] = fed_each
 
     def _arcs(self, arcs: np.ndarray, fed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """The extruding arcs: their rows, chords of each, and start, end (n, 6) and feed (n,) of all chords."""
         unit = self._machine.unit_mm
-        words = {
-            chr(code): (said[arcs], values[arcs]) for code, (said, values) in self._words.items() if chr(code) in "IJRP"
-        }
-        start, end = self._position[arcs], self._position[arcs + 1]
+        said = {letter: np.isin(arcs, self._words[ord(letter)][0]) for letter in "IJR"}
+        words = {letter: self._spread(*self._words[ord(letter)])[arcs] for letter in "IJRP"}
+        start, end = (np.column_stack([column[at] for column in self._place]) for at in (arcs, arcs + 1))
         clockwise = self._kind[arcs] == ARC_CW
-        offset = np.column_stack([words["I"][1], words["J"][1]]) * unit
-        centre = np.where((words["I"][0] | words["J"][0])[:, None], start[:, :2] + offset, np.nan)
-        by_radius = words["R"][0]
+        offset = np.column_stack([words["I"], words["J"]]) * unit
+        centre = np.where((said["I"] | said["J"])[:, None], start[:, :2] + offset, np.nan)
+        by_radius = said["R"]
         if by_radius.any():
-            found = centres_by_radius(start, end, words["R"][1] * unit, clockwise)
+            found = centres_by_radius(start, end, words["R"] * unit, clockwise)
             centre[by_radius] = found[by_radius]
         self.pathless = int(np.isnan(centre[:, 0]).sum())
-        feeds = self._feed[arcs] > LEAST_FEED_MM
+        feeds = self._feeds_any[arcs]
         if not feeds.any():
             return None
         rows, start, end = arcs[feeds], start[feeds], end[feeds]
-        turns = np.clip(words["P"][1][feeds], 0, 1e6).astype(np.int64)
+        turns = np.clip(words["P"][feeds], 0, 1e6).astype(np.int64)
         most = self._machine.most_chords(len(rows))
         counts, points = chords(start, end, centre[feeds], clockwise[feeds], turns, most)
         self._coarse = len(rows) if most < MAX_CHORDS and bool((counts == most).any()) else 0
@@ -149,12 +148,12 @@ class Walk:
         """Bring the machine to the end of the run. Returns the beads' end positions, (n,) int64.
 
         end_pos : (rows,) file position after each row
-        stops   : rows of the run before which a command stands that ends a layer's retraction
+        stops   : rows of the run before which a command stands that ends a layer's retraction, ascending
         """
         machine = self._machine
         self._find_tails(end_pos, stops)
         self._find_travels(end_pos)
-        machine.position = self._position[-1].tolist()
+        machine.position = [float(column[-1]) for column in self._place]
         machine.e = float(self._e_after[-1])
         fed = np.cumsum(np.concatenate([[machine.fed.get(machine.tool, 0.0)], self._feed / machine.feed_area_mm2]))
         machine.fed[machine.tool] = float(fed[-1])
@@ -162,44 +161,43 @@ class Walk:
         machine.skipped += self.pathless
         machine.coarse += self._coarse
         machine.laid += len(self.path)
-        return np.repeat(end_pos, self._count)
+        return np.repeat(end_pos.take(self._laying), self._count)
 
     def _find_travels(self, end_pos: np.ndarray) -> None:
         """Note the travels that lead far away from the last bead."""
-        machine = self._machine
-        last_bead = _last_said(self._count > 0)  # where the nozzle is after it, for each row and at the end
-        rows = np.flatnonzero(self._travel)
-        before, place = last_bead.take(rows), self._position[rows + 1, :2]
-        beyond = np.abs(place - np.where((before > 0)[:, None], self._position[before, :2], machine.last_xy))
-        far = np.maximum(beyond[:, 0], beyond[:, 1]) >= FAR_MM
-        laid = machine.laid + self.beads_upto[rows[far]]
-        for bead, end, (x, y) in zip(laid.tolist(), end_pos[rows[far]].tolist(), place[far].tolist()):
-            machine.travels.add(bead - 1, end, x, y)
-        if last_bead[-1] > 0:
-            machine.last_xy = (float(self._position[last_bead[-1], 0]), float(self._position[last_bead[-1], 1]))
+        machine, (x, y, _) = self._machine, self._place
+        ends = np.concatenate([[0], self._laying + 1])  # rows before which each bead, and that of the run before, ends
+        last_x, last_y = x.take(ends), y.take(ends)
+        last_x[0], last_y[0] = machine.last_xy
+        rows = np.flatnonzero((self._kind == MOVE) & self._moved & ~self._feeds_any)
+        before = np.searchsorted(self._laying, rows)
+        beyond_x, beyond_y = (
+            np.abs(x.take(rows + 1) - last_x.take(before)),
+            np.abs(y.take(rows + 1) - last_y.take(before)),
+        )
+        far = rows[np.maximum(beyond_x, beyond_y) >= FAR_MM]
+        laid, to = machine.laid + self.beads_upto[far], far + 1
+        for bead, end, to_x, to_y in zip(laid.tolist(), end_pos[far].tolist(), x[to].tolist(), y[to].tolist()):
+            machine.travels.add(bead - 1, end, to_x, to_y)
+        machine.last_xy = (float(last_x[-1]), float(last_y[-1]))
 
     def _find_tails(self, end_pos: np.ndarray, stops: np.ndarray) -> None:
-        """Note the retractions that follow a bead directly: nothing but quiet commands between."""
-        machine = self._machine
-        # As a row before the first: the last bead of the run before, if its tail is still open.
-        class_ = np.concatenate([[_BEAD if machine.tail_open and machine.laid else _STOP], self._class])
-        ordinal = np.arange(len(class_))
-        breaks = np.where(class_ == _STOP, ordinal, 0)
-        broken = np.zeros(len(class_) + 1, bool)
-        broken[np.asarray(stops, np.int64) + 1] = True
-        breaks = np.maximum(breaks, np.where(broken[:-1], ordinal, 0))
-        last_break = np.maximum.accumulate(breaks)
-        last_bead = np.maximum.accumulate(np.where(class_ == _BEAD, ordinal, -1))
-        open_ = (last_bead >= 0) & (last_bead >= last_break)
-        tails = np.flatnonzero((class_ == _RETRACT) & open_)
-        beads = machine.laid + self.beads_upto[last_bead[tails]] - 1
-        machine.tails[0].extend(beads.tolist())
-        machine.tails[1].extend(end_pos[tails - 1].tolist())
-        machine.tail_open = bool(open_[-1]) and not broken[-1]
+        """Note the retractions that follow a bead directly: nothing but quiet commands between.
 
-
-def _last_said(said: np.ndarray) -> np.ndarray:
-    """(n + 1,) indices: for each row and the state before it (0), where its value was said last."""
-    index = np.zeros(len(said) + 1, np.int64)
-    np.multiply(said, np.arange(1, len(said) + 1), out=index[1:])
-    return np.maximum.accumulate(index)
+        That is so where beads were laid since the last row that breaks a tail, or command before a row.
+        """
+        machine, kind, z = self._machine, self._kind, self._place[2]
+        retracts = (self._feed < -LEAST_FEED_MM) | (kind == RETRACT)
+        breaks = (kind >= ARC_CW) & (kind <= ARC_CCW) | (kind == UNRETRACT)
+        breaks |= (kind == MOVE) & (self._moved | self._feeds_any | (np.abs(z[1:] - z[:-1]) > LEAST_MOVE_MM))
+        breaks &= ~retracts
+        breaks[self._laying] = False
+        broken = np.sort(np.concatenate([np.flatnonzero(breaks), stops]), kind="stable")
+        # Before the first break: whether beads are laid, or the tail of the run before is still open.
+        since = np.concatenate([[-1 if machine.tail_open and machine.laid else 0], self.beads_upto[broken]])
+        asked = np.append(np.flatnonzero(retracts), len(kind))
+        open_ = self.beads_upto[asked] > since[np.searchsorted(broken, asked, side="right")]
+        tails = asked[:-1][open_[:-1]]
+        machine.tails[0].extend((machine.laid + self.beads_upto[tails] - 1).tolist())
+        machine.tails[1].extend(end_pos[tails].tolist())
+        machine.tail_open = bool(open_[-1])
