@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..expected.views import Expected, surroundings
-from .appearance import ColourModel, Plate, count_colours, every_colour, opponent
+from ..expected.views import Expected, box_about, surroundings
+from .appearance import ColourModel, Plate, count_colours, count_kinds, every_colour, opponent
 from .segment import HsvThresholds, Observation, segment_hsv
 from .weigh import Look, weigh
 
@@ -66,9 +66,8 @@ class AdaptiveSegmenter:
         x0, y0, x1, y1 = region
         crop = np.ascontiguousarray(frame_bgr[y0:y1, x0:x1])
         mask = None if expected is None else np.ascontiguousarray(expected.mask[y0:y1, x0:x1])
-        plate = None
-        if self._plate is not None and self._plate.known.shape == frame_bgr.shape[:2]:
-            plate = self._plate.part(region)
+        plate = self._plate_like(frame_bgr)
+        plate = None if plate is None else plate.part(region)
         model = self._colours(frame_bgr, expected)
         self._separability = model.separability
         seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2], model), mask)
@@ -81,7 +80,7 @@ class AdaptiveSegmenter:
     ) -> Observation:
         """Where this print has been taken for the bed so far, an unchanged bed does not say that nothing lies there."""
         unchanged = (seen.mask == 0) & ~self._not_the_bed(plate, colours)
-        inside = _well_inside(expected, 1)
+        inside = _well_inside(expected, 1) > 0
         if inside.any():
             self._bedlike_ratio = min(self._bedlike_ratio, float(unchanged[inside].mean()))
         unsure = unchanged & (expected > 0) if self._bedlike_ratio > _ALIKE else np.zeros_like(inside)
@@ -90,33 +89,40 @@ class AdaptiveSegmenter:
     def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Take this frame's look as that of filament and background. Only after a check in which all was well."""
         colours = opponent(frame_bgr)
-        inside = _well_inside(expected.mask, _INSIDE_PX)
-        filament = inside & (observed.mask > 0) & (observed.unsure == 0)
-        if self._plate is not None and self._plate.known.shape == filament.shape:
-            changed = self._not_the_bed(self._plate, colours)
-            lying = _well_inside(expected.mask, 1)
+        outside = cv2.bitwise_not(_grown(expected.complete, _OUTSIDE_PX))
+        background = outside & cv2.bitwise_not(observed.mask | observed.unsure)
+        few = box_about(expected.mask, 2 * _INSIDE_PX + 2)  # no filament is learned beyond
+        mask, seen, sure = expected.mask[few], observed.mask[few], cv2.bitwise_not(observed.unsure[few])
+        inside = _well_inside(mask, _INSIDE_PX)
+        filament = inside & seen & sure
+        plate = self._plate_like(background)
+        if plate is not None:
+            changed = self._not_the_bed(Plate(plate.colours[few], plate.known[few]), colours[few])
+            lying = _well_inside(mask, 1) > 0
             if lying.any():
-                bedlike = (observed.mask == 0) & ~changed
+                bedlike = (seen == 0) & ~changed
                 self._bedlike_ratio = (self._bedlike_ratio + float(bedlike[lying].mean())) / 2
-            filament &= changed
-        outside = cv2.dilate(expected.complete, np.ones((2 * _OUTSIDE_PX + 1,) * 2, np.uint8)) == 0
-        background = outside & (observed.mask == 0) & (observed.unsure == 0)
+            filament[~changed] = 0
         # its edge too, a mixture of both, and so is what lies just outside: there they must be told apart
-        edge = _grown(filament, _INSIDE_PX) & _grown(observed.mask > 0, 1) & (expected.mask > 0) & ~inside
-        lies = filament | edge
-        beside = _grown(filament, 2 * _INSIDE_PX + 1) & ~outside & (expected.mask == 0)
+        edge = _grown(filament, _INSIDE_PX) & _grown(seen, 1) & mask & cv2.bitwise_not(inside)
+        beside = _grown(filament, 2 * _INSIDE_PX + 1) & cv2.bitwise_not(outside[few] | mask)
+        lies, fringe = count_kinds(colours[few], (filament | edge) > 0, beside > 0)
+        x0, y0, x1, y1 = _region(expected, background.shape)
+        rest = count_colours(colours[y0:y1, x0:x1], background[y0:y1, x0:x1] > 0)
         if filament.any():
             known = np.zeros_like(self._background) if self._filament is None else self._filament
-            self._filament = _remember(known, count_colours(colours, lies))
-        around = background & _inside(_region(expected, filament.shape), filament.shape)
+            self._filament = _remember(known, lies)
         # the few pixels beside the print count up to tenfold: that is where the two must be told apart. More would give
         # every mixed pixel to the background and the print would be seen too thin
-        fringe, rest = count_colours(colours, beside), count_colours(colours, around)
         fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), _FRINGE)
         self._background = _remember(self._background, fringe + rest)
         self._model = None
         if not self._bed_moves:
-            self._remember_plate(colours, filament, background)
+            if plate is None:
+                plate = self._plate = Plate(colours.copy(), np.zeros(background.shape, np.int8))
+            for part, here, kind in ((np.s_[:, :], background, -1), (few, filament, 1)):
+                cv2.copyTo(colours[part], here, plate.colours[part])
+                np.copyto(plate.known[part], kind, where=here > 0)
 
     def look_elsewhere(self) -> None:
         """The pixels' past is forgotten, the colours are kept."""
@@ -126,14 +132,10 @@ class AdaptiveSegmenter:
         """(H, W) bool: False where the plate's background is seen unchanged."""
         return (plate.known >= 0) | _apart(colours, plate.colours, _CHANGED)
 
-    def _remember_plate(self, colours: np.ndarray, filament: np.ndarray, background: np.ndarray) -> None:
-        known = np.zeros(colours.shape[:2], np.int8)
-        picture = colours
-        if self._plate is not None and self._plate.known.shape == known.shape:
-            known = self._plate.known.copy()
-            picture = cv2.copyTo(colours, (filament | background).view(np.uint8), self._plate.colours.copy())
-        known[background], known[filament] = -1, 1
-        self._plate = Plate(picture, known)
+    def _plate_like(self, picture: np.ndarray) -> Plate | None:
+        """None where nothing is known of the pixels of a picture of this height and width."""
+        fits = self._plate is not None and self._plate.known.shape == picture.shape[:2]
+        return self._plate if fits else None
 
     def _colours(self, frame_bgr: np.ndarray | None = None, expected: Expected | None = None) -> ColourModel:
         """The colours learned; before any, those of this frame: matter where it must lie and the bed does not show."""
@@ -148,26 +150,20 @@ class AdaptiveSegmenter:
             background = count_colours(colours, expected.complete == 0)
         if filament is None:
             lies = expected.mask > 0
-            if self._plate is not None and self._plate.known.shape == lies.shape:
-                lies &= self._not_the_bed(self._plate, colours)
+            plate = self._plate_like(lies)
+            if plate is not None:
+                lies &= self._not_the_bed(plate, colours)
             filament = count_colours(colours, lies)
         return ColourModel(filament, background)
 
 
 def _well_inside(mask: np.ndarray, by_px: int) -> np.ndarray:
-    """(H, W) bool: of a uint8 mask what is not near its edge."""
-    return cv2.erode(mask, np.ones((2 * by_px + 1,) * 2, np.uint8)) > 0
-
-
-def _inside(region: tuple[int, int, int, int], shape: tuple[int, int]) -> np.ndarray:
-    x0, y0, x1, y1 = region
-    inside = np.zeros(shape, bool)
-    inside[y0:y1, x0:x1] = True
-    return inside
+    """Of a mask (uint8) what is not near its edge."""
+    return cv2.erode(mask, np.ones((2 * by_px + 1,) * 2, np.uint8))
 
 
 def _grown(mask: np.ndarray, by_px: int) -> np.ndarray:
-    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)) > 0
+    return cv2.dilate(mask, np.ones((2 * by_px + 1,) * 2, np.uint8))
 
 
 def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -64,7 +64,13 @@ def channel_sum(picture: np.ndarray) -> np.ndarray:
 
 def count_colours(colours: np.ndarray, where: np.ndarray) -> np.ndarray:
     """(32768,) float64: how many of the pixels chosen by `where` (bool) have each colour of an opponent picture."""
-    return np.bincount(_cells(colours)[where], minlength=_CELLS).astype(np.float64)
+    return count_kinds(colours, where)[0]
+
+
+def count_kinds(colours: np.ndarray, *kinds: np.ndarray) -> list[np.ndarray]:
+    """`count_colours` for each of several choices (bool)."""
+    cells = _cells(colours)
+    return [np.bincount(cells[where], minlength=_CELLS).astype(np.float64) for where in kinds]
 
 
 def every_colour() -> np.ndarray:
