@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from ..expected.views import box_about
+
 MOST_PX = 6.0  # a calibration further off than this must be done again, not explained away
 POINTS = 500
 REACH_PX, STEP_PX = 4.0, 0.5  # how far from a contour its edge is looked for, each round
@@ -124,20 +126,30 @@ def fit(
     wanted : (h, w) bool, a crop at (left, top) of the whole picture; observed, known : the whole picture's, bool.
     None where too few contours find an edge to tell.
     """
-    points, normals = _contours(wanted)
+    few = box_about(wanted.view(np.uint8), 8)
+    left, top = left + few[1].start, top + few[0].start
+    points, normals = _contours(wanted[few])
     if len(points) < LEAST_POINTS:
         return None
     points = points + [left, top]
     off_middle = (points - np.array(start.middle_px)) / start.reach_px
     # what a point moves along its normal for each unknown
     design = np.column_stack([normals, normals[:, :1] * off_middle, normals[:, 1:] * off_middle, np.ones(len(points))])
-    soft = cv2.GaussianBlur(observed.astype(np.float32), (0, 0), 0.8)
-    blind = (~known).astype(np.uint8)
+    # further off than this no edge is looked for
+    margin = start.most_px + 4 * REACH_PX
+    corner = np.maximum(points.min(axis=0) - margin, 0).astype(int)
+    end = (points.max(axis=0) + margin).astype(int)
+    near = slice(corner[1], end[1]), slice(corner[0], end[0])
+    soft = cv2.GaussianBlur(observed[near].astype(np.float32), (0, 0), 0.8)
+    blind = (~known[near]).astype(np.uint8)
+    offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX, STEP_PX)
+    lines = normals[:, :, None] * offsets - corner[:, None]
     values = np.array([*start.offset_px, *start.shear_px, 0.0])
     prior = NOISE_PX**2 / np.array(PRIOR_PX) ** 2
     residual, found = np.zeros(len(points)), np.zeros(len(points), bool)
     for _ in range(ROUNDS):
-        along, found = _edges(soft, blind, points + start._of(values).at(points), normals, values[6])
+        here = points + start._of(values).at(points)
+        along, found = _edges(soft, blind, here[:, :, None] + lines, offsets, values[6])
         if np.count_nonzero(found) < max(LEAST_POINTS, LEAST_RATIO * len(points)):
             return None
         residual = along - values[6]
@@ -178,18 +190,20 @@ def _contours(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _edges(
-    soft: np.ndarray, blind: np.ndarray, points: np.ndarray, normals: np.ndarray, halo_px: float
+    soft: np.ndarray, blind: np.ndarray, lines: np.ndarray, offsets: np.ndarray, halo_px: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) how far outwards the silhouette's edge lies from each point, the nearest to where it is thought to be; and whether
-    there is one within reach."""
-    offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX, STEP_PX)
-    x, y = ((points[:, axis, None] + normals[:, axis, None] * offsets).astype(np.float32) for axis in (0, 1))
+    there is one within reach.
+
+    lines : (N, 2, n) the pixels at each of `offsets` along each point's normal
+    """
+    x, y = (np.ascontiguousarray(lines[:, axis], np.float32) for axis in (0, 1))
     profile = cv2.remap(soft, x, y, cv2.INTER_LINEAR)
     hidden = cv2.remap(blind, x, y, cv2.INTER_NEAREST, borderValue=1).any(axis=1)
     falls = (profile[:, :-1] >= 0.5) & (profile[:, 1:] < 0.5)
     away = np.where(falls, np.abs(offsets[:-1] - halo_px), np.inf)
     at = away.argmin(axis=1)
-    rows = np.arange(len(points))
+    rows = np.arange(len(at))
     before, after = profile[rows, at], profile[rows, at + 1]
     along = offsets[at] + STEP_PX * (before - 0.5) / np.maximum(before - after, 1e-6)
     return along, np.isfinite(away[rows, at]) & ~hidden

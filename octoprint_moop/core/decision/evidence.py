@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -211,26 +210,15 @@ def _aligned(sight: Sight, alignment: align.Alignment, window: Window) -> tuple[
     rim = int(alignment.most_px) + 2
     top, left = max(rows.start - rim, 0), max(columns.start - rim, 0)
     near = slice(top, rows.stop + rim), slice(left, columns.stop + rim)
-    maps = _maps(alignment, columns.start, rows.start, columns.stop, rows.stop, left, top)
     mixed = np.empty((*sight.observed[near].shape, 4), np.uint8)
     cv2.mixChannels([sight.frame_bgr[near], sight.observed[near]], [mixed], [0, 0, 1, 1, 2, 2, 3, 3])
-    mixed = cv2.remap(mixed, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    size = (columns.stop - columns.start, rows.stop - rows.start)
-    matrix, plain = alignment.inverse_map(columns.start, rows.start), cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    matrix, size = alignment.inverse_map(columns.start, rows.start), (columns.stop - columns.start, rows.stop - rows.start)
+    smooth, plain = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    from_near = matrix - [[0, 0, left], [0, 0, top]]
+    mixed = cv2.warpAffine(mixed, from_near, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
     ignored = cv2.warpAffine(sight.ignored, matrix, size, flags=plain, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
     observed = cv2.threshold(cv2.extractChannel(mixed, 3), 127, 255, cv2.THRESH_BINARY)[1]
     return planes(mixed), observed, ignored
-
-
-@lru_cache(maxsize=4)
-def _maps(
-    alignment: align.Alignment, x0: int, y0: int, x1: int, y1: int, left: int, top: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """For cv2.remap: where a crop of the picture that begins at (left, top) shows what is expected in the window."""
-    matrix = alignment.inverse_map(x0, y0)
-    x, y = np.arange(x1 - x0)[None, :], np.arange(y1 - y0)[:, None]
-    map_x, map_y = (row[0] * x + row[1] * y + row[2] - off for row, off in zip(matrix, (left, top)))
-    return cv2.convertMaps(map_x.astype(np.float32), map_y.astype(np.float32), cv2.CV_16SC2)
 
 
 def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
