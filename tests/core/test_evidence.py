@@ -106,6 +106,17 @@ def test_much_that_is_seen_no_more_though_nothing_shows_that_it_has_gone_is_hidd
     assert stage.look(14, walls(14)).untold_px == 0
 
 
+def test_what_is_seen_no_more_has_gone_though_its_place_does_not_show_it_where_as_much_lies_beside():
+    """The bare place looks like the print; segmentation rightly sees none there, and much of it a little way off."""
+    stage = Stage().printed(12)
+    slid = moved(wall(0, 12), -50, 4)
+    found = stage.look(13, walls(13) | slid, observed=wall(1, 13) | slid)
+    assert found.untold_px == 0 and found.scopes[1].stray_px > 300
+    # what lies within 1.5 px of the slid wall may be it
+    assert found.scopes[1].lost_px == pytest.approx(np.count_nonzero(wall(0, 12) & ~slid), rel=0.15)
+    assert found.scopes[2].lost_px == 0
+
+
 def test_dark_matter_that_shines_brighter_than_the_bed_at_one_layer_has_not_gone():
     """Solid lines shine or not as they lie to the lamp, in turn; segmentation has learned the dark ones."""
     stage = Stage()

@@ -259,7 +259,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     rim &= ~memory.looks_shaded(window, look, rim)
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
-    gone_px = np.count_nonzero(lost)
+    gone, gone_px = lost, np.count_nonzero(lost)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
     if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, known & ~observed & ~near_wanted):
         lost = np.zeros_like(lost)
@@ -274,8 +274,10 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     untold_px = int(gone_px - np.count_nonzero(lost))
     # nothing bears out that so much has gone: what is fresh may be hidden too
     much = untold_px > UNTOLD_RATIO * np.count_nonzero(standing)
-    if not much or np.count_nonzero(stray) > STRAY_RATIO * untold_px:
+    if not much:
         untold_px = 0
+    elif np.count_nonzero(stray) > STRAY_RATIO * untold_px:  # it lies beside its place, so it has gone from there
+        untold_px, lost = 0, lost | without_specks(gone)
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
     )
