@@ -24,6 +24,7 @@ ALONE = {
     "core/expected/solid.py": {"trimesh"},
     "core/calibration/plate_mesh.py": {"trimesh"},
     "machine/gl.py": {"moderngl"},
+    "host/downloads.py": {"tornado"},  # it is what OctoPrint serves large files by
     "machine/webcam.py": {"octoprint"},
     "demo/make_job.py": {"trimesh"},
     "demo/server.py": {"requests", "yaml"},  # both come with OctoPrint

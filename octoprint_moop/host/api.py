@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from ..core.errors import MoopError, RecordingError
 from ..machine import recorder
 from ..machine.ledger import Ledger
 from ..machine.watch import Watch
+from .downloads import recording_route
 from .routes import body, picture_response
 
 PICTURES = {"frame.jpg": "image/jpeg", "seen.png": "image/png", "expected.png": "image/png", "ignored.png": "image/png"}
@@ -87,18 +86,9 @@ class MoopApi(BlueprintPlugin):
         newest_first = reversed(recorder.kept(self._recordings))
         return flask.jsonify(recordings=[recording.to_json() for recording in newest_first])
 
-    @BlueprintPlugin.route("/recordings/<name>.zip", methods=["GET"])
-    @Permissions.PLUGIN_MOOP_VIEW.require(403)
-    def get_recording(self, name: str) -> Any:
-        """One recording, packed; without its pictures where `?pictures=0`."""
-        folder = self._recording(name)
-        packed = tempfile.TemporaryFile()  # noqa: SIM115  sent after this returns
-        with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as target:  # JPEG and gzip do not shrink again
-            for path in sorted(folder.rglob("*")):
-                if path.is_file() and (path.suffix != ".jpg" or flask.request.args.get("pictures") != "0"):
-                    target.write(path, str(Path(name) / path.relative_to(folder)))
-        packed.seek(0)
-        return flask.send_file(packed, "application/zip", as_attachment=True, download_name=f"{name}.zip")
+    def server_routes(self, known: Any, *args: Any, **kwargs: Any) -> list[tuple[str, type, dict[str, Any]]]:
+        """What is too large for the routes above: see `downloads`."""
+        return [recording_route(self._recording)]
 
     @BlueprintPlugin.route("/recordings/<name>", methods=["DELETE"])
     @Permissions.PLUGIN_MOOP_CONTROL.require(403)

@@ -239,6 +239,7 @@ class MoopPlugin(
             "octoprint.comm.protocol.scripts": self.on_script,
             "octoprint.access.permissions": self.permissions,
             "octoprint.server.http.bodysize": self.body_sizes,
+            "octoprint.server.http.routes": self.server_routes,
             "octoprint.events.register_custom_events": self.custom_events,
             "octoprint.plugin.backup.additional_excludes": self.backup_excludes,
             "octoprint.plugin.softwareupdate.check_config": self.update_information,

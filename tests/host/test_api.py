@@ -30,7 +30,7 @@ def routes() -> list[tuple[str, str]]:
                 for rule, options in rules:
                     path = re.sub("<int:[a-z_]+>", "0", rule).replace("<kind>", "frame.jpg").replace("<name>", "x")
                     found += [(method, path) for method in options["methods"]]
-    return found
+    return [*found, ("GET", "/recordings/x.zip")]
 
 
 def test_no_route_lets_anybody_in_without_a_permission(room):
@@ -172,6 +172,8 @@ def test_each_watched_print_leaves_a_recording_that_can_be_replayed_and_fetched(
     assert room.server.request("GET", f"{past}/3/frame.jpg").status_code == 404
     without = room.server.request("GET", f"/plugin/moop/recordings/{kept['name']}.zip?pictures=0")
     assert not [name for name in zipfile.ZipFile(io.BytesIO(without.content)).namelist() if name.endswith(".jpg")]
+    missing = room.server.request("GET", "/plugin/moop/recordings/nothing.zip")
+    assert (missing.status_code, missing.json()["code"]) == (400, "recording")
     room.moop("DELETE", f"recordings/{kept['name']}")
     assert kept["name"] not in [r["name"] for r in room.moop("GET", "recordings")["recordings"]]
 

@@ -150,9 +150,7 @@ def _stay_table() -> np.ndarray:
 _STAY = _stay_table()
 
 
-def evidence(
-    colours: np.ndarray, model: ColourModel, plate: Plate | None = None, change: float = 1.0
-) -> np.ndarray:
+def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None, change: float = 1.0) -> np.ndarray:
     """(H, W) float32: log likelihood ratio of filament against background, within +-EVIDENCE_MAX.
 
     A pixel known to have shown filament shows, if filament, either the same as then or any filament colour; likewise
