@@ -117,9 +117,15 @@ class MoopJobsApi(BlueprintPlugin):
         if not path:
             return None
         path = str(path)
-        if origin == "local" and not self._file_manager.file_exists("local", path):
+        if origin == "local" and not self._exists(path):
             raise MeshError(f"There is no file {path!r}. Select one that there is.")
         return self._job_key(origin, path), {"origin": origin, "path": path}
+
+    def _exists(self, path: str) -> bool:
+        try:
+            return bool(self._file_manager.file_exists("local", path))
+        except ValueError:  # it leads out of the uploads, or is no path at all
+            return False
 
     def _needed_job(self, named: Any) -> tuple[str, dict[str, str]]:
         job = self._wanted_job(named)

@@ -259,7 +259,7 @@ class MoopSetupApi(BlueprintPlugin):
             raise CalibrationError("There is no picture yet that was clicked on. Take one first.")
         found, _ = self._bench_eye.ask(
             "points", self._pose_picture, timeout_s=LONG_S, points=wanted.get("points"),
-            lens=wanted.get("lens") or self._known_lens(), click_px=float(wanted.get("click_px", 2.0)),
+            lens=wanted.get("lens") or self._known_lens(), click_px=_click_px(wanted.get("click_px", 2.0)),
         )  # fmt: skip
         return flask.jsonify(found)
 
@@ -310,6 +310,14 @@ class MoopSetupApi(BlueprintPlugin):
         """The filament's thresholds as a recording's header has them: as saved, or as `over` says."""
         low, high, saturation, value = (over.get(name, getattr(self._moop_settings, name)) for name in MATERIAL)
         return {"hue_deg": [low, high], "saturation_min": saturation, "value_min": value}
+
+
+def _click_px(data: Any) -> float:
+    """How exactly somebody clicks. Raises CalibrationError."""
+    try:
+        return float(data)
+    except (TypeError, ValueError):
+        raise CalibrationError(f"click_px is {data!r}; a number of pixels is needed.") from None
 
 
 def _board(data: Any) -> dict[str, Any]:

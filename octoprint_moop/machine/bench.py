@@ -11,7 +11,7 @@ from typing import Any
 
 import cv2
 
-from ..core.header import Header, Printer
+from ..core.header import Printer
 from ..core.segmentation.segment import HsvThresholds, segment_hsv
 from .pictures import decode, encode_mask
 
@@ -39,7 +39,9 @@ def validate(blobs: list[bytes], header: dict[str, Any], turned: dict[str, Any] 
 
     turned : how the pictures had been turned that its cameras were found on; the answer's are the unturned camera's.
     """
-    read = Header.from_json(header)
+    from .recording import parse_header
+
+    read = parse_header(header)
     if isinstance(turned, dict):
         from dataclasses import replace
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import queue
@@ -87,8 +88,12 @@ class EyeLink:
         birth : ask this process and no later one, for a question about what only it knows
         Raises the eye's own MoopError; EyeGone where it dies, is ended for taking longer than `timeout_s`, counted from this
         question's turn, or is not the one of that `birth` any more; Interrupted soon after `interrupted` is set (the eye
-        goes on, its answer is dropped).
+        goes on, its answer is dropped); MoopError where a number among the arguments is not one.
         """
+        try:
+            json.dumps(arguments, allow_nan=False)
+        except ValueError:
+            raise MoopError("Among the numbers is one that is none (NaN, or infinite). Send finite numbers.") from None
         with self._lock:
             if birth is not None and (birth != self.births or self.pid is None):
                 raise EyeGone("The process that looks at the pictures ended and was started anew.")

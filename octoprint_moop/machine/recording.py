@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -128,9 +129,19 @@ def _read_header(path: Path) -> Header:
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be read as JSON ({error}).") from None
     try:
-        return Header.from_json(data)
+        return parse_header(data)
     except MoopError as error:
         raise type(error)(f"{path}: {error}") from None
+
+
+def parse_header(data: Any) -> Header:
+    """A header from somebody's JSON. Raises RecordingError or CameraError, whatever it is."""
+    try:
+        return Header.from_json(data)
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise RecordingError(
+            f"The header makes no sense ({error}). Compare it with docs/formats.md, section 3."
+        ) from None
 
 
 def _read_moments(path: Path) -> Iterator[Moment]:
@@ -144,7 +155,7 @@ def _read_moments(path: Path) -> Iterator[Moment]:
             continue
         try:
             yield Moment.from_json(json.loads(line))
-        except (ValueError, RecordingError, TypeError) as error:
+        except (AttributeError, KeyError, ValueError, RecordingError, TypeError) as error:
             if number == len(lines):
                 return
             raise RecordingError(f"{path}, line {number}: {error}") from None

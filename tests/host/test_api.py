@@ -182,3 +182,25 @@ def test_each_watched_print_leaves_a_recording_that_can_be_replayed_and_fetched(
 def test_no_name_leads_out_of_the_recordings(room, name):
     assert room.server.request("DELETE", f"/plugin/moop/recordings/{name}").status_code in (400, 404, 405)
     assert room.status
+
+
+@pytest.mark.parametrize(
+    ("method", "route", "sent"),
+    [
+        ("GET", "mesh?path=../../../etc/passwd", None),
+        ("DELETE", "mesh?path=../x", None),
+        ("POST", "mesh/choice", {"path": "../../etc/passwd", "use": True}),
+        ("POST", "calibrate/points", {"points": {}, "click_px": "two"}),
+        ("POST", "calibrate/points", {"points": {}, "click_px": None}),
+        ("POST", "setup", {**header(), "cameras": True}),
+        ("POST", "setup", {**header(), "job": "x"}),
+        ("POST", "segment/preview", {"hue_deg": [float("nan"), 0], "saturation_min": 0, "value_min": 0}),
+    ],
+)
+def test_what_makes_no_sense_is_answered_with_a_sentence(room, method, route, sent):
+    room.moop("POST", "calibrate/points/picture", json={})
+    answer = room.server.request(
+        method, f"/plugin/moop/{route}", data=json.dumps(sent or {}), headers={"Content-Type": "application/json"}
+    )
+    assert answer.status_code == 400, answer.text
+    assert answer.json()["code"] != "eye" and "Looking failed" not in answer.json()["message"]
