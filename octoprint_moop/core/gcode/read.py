@@ -133,7 +133,7 @@ def chunks(file: BinaryIO, name: str) -> Iterator[tuple[bytes, int]]:
         data = file.read(CHUNK_BYTES)
         if not data:
             break
-        block = rest + data
+        block = rest + data + file.readline(LONGEST_LINE_BYTES)
         cut = block.rfind(b"\n") + 1 or block.rfind(b"\r", 0, len(block) - 1) + 1
         rest = block[cut:]
         if len(rest) > LONGEST_LINE_BYTES:
@@ -241,13 +241,11 @@ class _Chunk:
         told, self._widths_mm = told_widths(chunk, self.lines, others)
         self._width_lines, self._others = others[told], others[~told]
 
-    def remarks(self) -> Iterator[tuple[int, Remark]]:
+    def remarks(self) -> list[tuple[int, Remark]]:
         """The lines that are no rows, tell no width, and do something: their numbers, and what they do."""
         starts, ends = self.lines.start[self._others].tolist(), self.lines.end[self._others].tolist()
-        for i, start, end in zip(self._others.tolist(), starts, ends):
-            remark = remark_of(self._chunk[start:end])
-            if remark is not None:
-                yield i, remark
+        raws = [self._chunk[start:end] for start, end in zip(starts, ends)]
+        return [(i, found) for i, found in zip(self._others.tolist(), map(remark_of, raws)) if found is not None]
 
     def widths(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
         """Of lines [begin, end): those that tell a width, and it; (n,) int64, (n,) float64, mm."""

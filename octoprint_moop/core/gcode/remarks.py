@@ -66,8 +66,8 @@ def told_widths(chunk: bytes, lines: Lines, others: np.ndarray) -> tuple[np.ndar
     widths_mm = np.empty(len(others))
     for said in _WIDTHS:
         tell = np.arange(len(others))
-        for i, letter in enumerate(said):
-            tell = tell[text.take(start[tell] + i, mode="clip") == letter]
+        for i in reversed(range(len(said))):  # the last letter tells most
+            tell = tell[text.take(start[tell] + i, mode="clip") == said[i]]
         widths_mm[tell], told[tell] = lines.figures.numbers(start[tell] + len(said), end[tell])
     told &= widths_mm < MOST_WIDTH_MM
     return told, widths_mm[told]

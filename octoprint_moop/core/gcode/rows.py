@@ -116,30 +116,28 @@ class _Words:
         count = last_piece - first_piece
         behind = np.cumsum(count)
         piece = np.arange(1, int(count.sum()) + 1) + np.repeat(first_piece - behind + count, count)
-        row = np.repeat(np.arange(len(count)), count)
+        self._row = np.repeat(np.arange(len(count)), count)
         end, letter_at = stops.take(piece), stops.take(piece - 1) + 1
-        if (end == letter_at).any():  # blanks at the end of a line, or its carriage return
-            said = np.flatnonzero(end > letter_at)
-            end, letter_at, row = end.take(said), letter_at.take(said), row.take(said)
-        minus = text.take(letter_at + 1) == ord("-")
-        self._row, self._letter = row, text.take(letter_at)
-        self._numbers, self._sound = figures.numbers(letter_at + 1 + minus, end)
+        self._letter, sign = text.take(letter_at), text.take(letter_at + 1, mode="clip")
+        minus = sign == ord("-")
+        self._numbers, sound = figures.numbers(letter_at + 1 + minus, end)
         self._numbers[minus] *= -1.0
+        letters = (self._letter >= ord("A")) & (self._letter <= ord("Z"))
+        self._odd = ~(sound & letters | (end == letter_at))  # empty: two blanks, a blank at the end, a carriage return
 
     def bad_rows(self, e_only: np.ndarray) -> np.ndarray:
         """(m,) bool: rows that hold a word of another shape, or, where they are `e_only`, of another letter than E."""
-        bad = ~self._sound | (self._letter < ord("A")) | (self._letter > ord("Z"))
+        odd = self._odd
         if e_only.any():
-            bad |= (self._letter != ord("E")) & e_only.take(self._row)
+            odd = odd | ((self._letter >= ord("A")) & (self._letter != ord("E")) & e_only.take(self._row))
         rows = np.zeros(len(e_only), bool)
-        rows[self._row[bad]] = True
+        rows[self._row[odd]] = True
         return rows
 
     def leave_out(self, rows: np.ndarray) -> None:
         """Forget rows and their words, and count the others anew; (m,) bool."""
-        keep = np.flatnonzero(~rows.take(self._row))
-        self._row = (np.cumsum(~rows) - 1).take(self._row.take(keep))
-        self._letter, self._numbers = self._letter.take(keep), self._numbers.take(keep)
+        self._letter[rows.take(self._row)] = 0
+        self._row = (np.cumsum(~rows) - 1).take(self._row)
 
     def of(self, letter: int) -> tuple[np.ndarray, np.ndarray]:
         """The rows that have this letter, and its numbers."""

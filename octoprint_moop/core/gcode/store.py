@@ -53,7 +53,7 @@ class Column:
         self._put(rows)
 
     def _put(self, rows: np.ndarray) -> None:
-        self._file.write(np.ascontiguousarray(rows, self._dtype).tobytes())
+        self._file.write(np.ascontiguousarray(rows, self._dtype).data)
 
     def blocks(self) -> list[tuple[int, int]]:
         """The column cut into pieces that fit into memory: (first, last)."""
