@@ -225,12 +225,14 @@ class Inspector:
         window, expected = steady.window, steady.expected
         seen = view.observe(steady, moment)
         observed = seen.mask
-        hidden = view.occluded(steady, observed | expected.mask | expected.ignored | expected.head)
-        # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
-        free = np.zeros_like(observed) if moment.parked else view.clearance.free(window, moment.position_mm)
-        told = observed | free
-        doubtful = expected.head & cv2.bitwise_not(told & expected.mask)
-        ignored = steady.outside | window.from_small(hidden) | doubtful | seen.unsure | expected.ignored
+        head, doubtful, would_tell = expected.volume, None, expected.mask
+        hidden = view.occluded(steady, _union(observed, expected.mask, expected.ignored, head))
+        if head is not None:
+            # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
+            free = view.clearance.free(window, moment.position_mm)
+            doubtful = head & cv2.bitwise_not((observed | free) & expected.mask)
+            would_tell = expected.mask & cv2.bitwise_not(head & cv2.bitwise_not(free))
+        ignored = _union(seen.unsure, steady.outside, hidden, doubtful, expected.ignored)
         self._shown = lambda: Pictures(
             steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
         )  # fmt: skip
@@ -240,7 +242,7 @@ class Inspector:
         sharp, sharp_observed, sharp_ignored = (
             close.sharp().expected(steady.whole), close.enlarged(observed[near]), close.enlarged(ignored[near])
         )  # fmt: skip
-        comparison = compare(sharp.mask, sharp_observed, sharp.complete, sharp_ignored)
+        comparison = compare(sharp.mask, sharp_observed, close.cut(steady.whole.complete), sharp_ignored)
         comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * window.step**2)
         blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
         if not blocked and comparison.extra_px > FLOODED * comparison.total_px:
@@ -285,7 +287,6 @@ class Inspector:
                 if outcome.verdict != OK
             }
 
-        would_tell = expected.mask & ~(expected.head & ~free)
         little = HEAD_HIDES if _little_of(would_tell, expected.mask) else ""
         look = Look(comparison, scopes=findings.scopes, little=little, turned=steady.turned)
         self.look, ruling = self._courses.rule(look, moment, name)
@@ -293,8 +294,8 @@ class Inspector:
         if ruling.teaches:
             self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)
             memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
-            if not moment.parked:
-                view.clearance.learn(window, moment.position_mm, observed & expected.mask & expected.head)
+            if head is not None:
+                view.clearance.learn(window, moment.position_mm, observed & expected.mask & head)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
@@ -308,15 +309,16 @@ class Inspector:
         return Check.of(moment, shown, ruling, self._toolpath.objects)
 
     @staticmethod
-    def _blocked(expected: Expected, hidden: np.ndarray, doubtful: np.ndarray, unsure: np.ndarray) -> str:
+    def _blocked(expected: Expected, hidden: np.ndarray | None, doubtful: np.ndarray | None, unsure: np.ndarray) -> str:
         """Why too little of the print is seen to judge it; "" where enough is.
 
         A head that stands over the print hides what it hides; anything else that does is somebody's hand.
         """
-        if hidden.any():
+        if hidden is not None:
             return HIDDEN
         wanted = max(cv2.countNonZero(expected.mask), 1)
-        if cv2.countNonZero(expected.mask & (doubtful | expected.ignored)) > MOST_HIDDEN_RATIO * wanted:
+        told_nothing = [mask for mask in (doubtful, expected.ignored) if mask is not None]
+        if told_nothing and cv2.countNonZero(expected.mask & _union(*told_nothing)) > MOST_HIDDEN_RATIO * wanted:
             return HEAD_HIDES
         if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
             return ALIKE
@@ -347,6 +349,14 @@ def conclude(looks: Iterable[tuple[Look, Moment]], sensitivity: str, objects: Se
     courses = Courses(sensitivity)
     for look, moment in looks:
         yield Check.of(moment, *courses.rule(look, moment), objects)
+
+
+def _union(mask: np.ndarray, *others: np.ndarray | None) -> np.ndarray:
+    """uint8: the first mask and the others, of which None stands for an empty one."""
+    for other in others:
+        if other is not None:
+            mask = mask | other
+    return mask
 
 
 def _little_of(part: np.ndarray, whole: np.ndarray) -> bool:

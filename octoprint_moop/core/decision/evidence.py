@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ..expected.views import Expected, PrintMap, box_about, surroundings
+from ..expected.views import Expected, PrintMap, box_about
 from . import align
 from .memory import Memory, Window, about, placed, planes, register
 from .spots import disc, near_to, spots_of, within, without_hollows, without_specks
@@ -148,7 +148,7 @@ def find(sight: Sight, memory: Memory) -> Findings:
     While the memory is still settling, the calibration's misfit is looked for first: what moving the whole picture by a
     few pixels explains at the first layers is no failure of the print.
     """
-    window, around = close_to(sight), surroundings(sight.expected.complete)
+    window, around = close_to(sight), sight.expected.surroundings
     memory.settle(window, sight.expected.mask[window] > 0, sight.observed, sight.ignored)
     findings = _weigh(sight, memory, around if memory.wants_surroundings else window)
     if _out_of_place_px(findings) < MOVED_LEAST_PX:
@@ -212,7 +212,10 @@ def _aligned(sight: Sight, alignment: align.Alignment, window: Window) -> tuple[
     near = slice(top, rows.stop + rim), slice(left, columns.stop + rim)
     mixed = np.empty((*sight.observed[near].shape, 4), np.uint8)
     cv2.mixChannels([sight.frame_bgr[near], sight.observed[near]], [mixed], [0, 0, 1, 1, 2, 2, 3, 3])
-    matrix, size = alignment.inverse_map(columns.start, rows.start), (columns.stop - columns.start, rows.stop - rows.start)
+    matrix, size = (
+        alignment.inverse_map(columns.start, rows.start),
+        (columns.stop - columns.start, rows.stop - rows.start),
+    )
     smooth, plain = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     from_near = matrix - [[0, 0, left], [0, 0, top]]
     mixed = cv2.warpAffine(mixed, from_near, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
@@ -418,7 +421,7 @@ class _Counter:
 def close_to(sight: Sight) -> Window:
     """Rows and columns of all that is expected and all that is seen: where anything can be found, if all is well."""
     margin = round(AROUND_PX * sight.finer)
-    seen, around = box_about(sight.expected.complete | sight.observed, margin), surroundings(sight.expected.complete)
+    seen, around = box_about(sight.expected.complete | sight.observed, margin), sight.expected.surroundings
     rows, columns = (slice(max(one.start, other.start), min(one.stop, other.stop)) for one, other in zip(seen, around))
     return rows, columns
 

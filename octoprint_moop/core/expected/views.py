@@ -56,6 +56,25 @@ class MaskRenderer(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Silhouette:
+    """What a view will show of the complete print, for as long as its birth map is the same.
+
+    birth : (H, W) uint32, as of Expected
+    """
+
+    birth: np.ndarray
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """(H, W) uint8, 255 where material will be seen when the print is complete."""
+        return _between(self.birth, 0, MOST_BEADS)
+
+    @cached_property
+    def surroundings(self) -> tuple[slice, slice]:
+        return surroundings(self.mask)
+
+
+@dataclass(frozen=True, eq=False)
 class Expected:
     """The expected state of the view at one moment, all (H, W) in the camera's own pixels.
 
@@ -65,6 +84,7 @@ class Expected:
     doubt  : so many of the `laid` may not lie yet, since the printer lags behind the file
     hidden : uint8, 255 where the lens's edge leaves nothing to be seen; None for nowhere
     volume : uint8, 255 where the head or the gantry may stand before the print; None where they are out of the way
+    known_silhouette : of the same birth map, where it is there already
     """
 
     birth: np.ndarray
@@ -73,26 +93,27 @@ class Expected:
     doubt: int = 0
     hidden: np.ndarray | None = None
     volume: np.ndarray | None = None
+    known_silhouette: Silhouette | None = None
 
-    def part(self, rows: slice, columns: slice) -> Expected:
-        """The same in a part of the view."""
-        part = (rows, columns)
-        return replace(
-            self,
-            birth=self.birth[part],
-            hidden=None if self.hidden is None else self.hidden[part],
-            volume=None if self.volume is None else self.volume[part],
-        )
+    @cached_property
+    def silhouette(self) -> Silhouette:
+        known = self.known_silhouette
+        return known if known is not None and known.birth is self.birth else Silhouette(self.birth)
 
     @cached_property
     def mask(self) -> np.ndarray:
         """uint8, 255 where material must be seen now."""
         return _between(self.birth, 0, self.laid)
 
-    @cached_property
+    @property
     def complete(self) -> np.ndarray:
         """uint8, 255 where material will be seen when the print is complete."""
-        return _between(self.birth, 0, MOST_BEADS)
+        return self.silhouette.mask
+
+    @property
+    def surroundings(self) -> tuple[slice, slice]:
+        """Rows and columns in which matter may lie that has to do with the print; see the function of that name."""
+        return self.silhouette.surroundings
 
     @cached_property
     def fresh(self) -> np.ndarray:
@@ -100,10 +121,12 @@ class Expected:
         return _between(self.birth, self.before, self.laid)
 
     @cached_property
-    def ignored(self) -> np.ndarray:
-        """uint8, 255 where nothing can be said: hidden, or covered first by a bead that may not lie yet."""
-        hidden = np.zeros(self.birth.shape, np.uint8) if self.hidden is None else self.hidden
-        return hidden | _between(self.birth, max(self.laid - self.doubt, 0), self.laid) if self.doubt else hidden
+    def ignored(self) -> np.ndarray | None:
+        """uint8, 255 where nothing can be said: hidden, or covered first by a bead that may not lie yet. None for nowhere."""
+        if not self.doubt:
+            return self.hidden
+        doubtful = _between(self.birth, max(self.laid - self.doubt, 0), self.laid)
+        return doubtful if self.hidden is None else doubtful | self.hidden
 
     @cached_property
     def head(self) -> np.ndarray:
@@ -186,7 +209,7 @@ class ExpectedViews:
         self, toolpath: Toolpath, camera: Camera, bed: BedMotion, renderer: MaskRenderer, head: HeadModel | None = None
     ) -> None:
         self._toolpath, self._camera, self._bed, self._renderer, self._head = toolpath, camera, bed, renderer, head
-        self._births: dict[_Drawing, np.ndarray] = {}
+        self._births: dict[_Drawing, Silhouette] = {}
         self._objects: dict[_Drawing, tuple[ExpectedObject, ...]] = {}
         self._maps: dict[_Drawing, PrintMap] = {}
         blind = blind_area(camera)
@@ -216,9 +239,9 @@ class ExpectedViews:
         volume = None
         if not parked and self._head is not None:
             volume = hidden_by(self._head, position_mm, self._bed, self._camera)
-        birth = self._birth(self._drawing(position_mm, file_pos, cancelled, parked))
+        silhouette = self._silhouette(self._drawing(position_mm, file_pos, cancelled, parked))
         doubt = 0 if sure_pos is None else laid - self._toolpath.laid_at(sure_pos)
-        return Expected(birth, laid, before, doubt, self._blind, volume)
+        return Expected(silhouette.birth, laid, before, doubt, self._blind, volume, silhouette)
 
     def map_at(
         self,
@@ -281,10 +304,10 @@ class ExpectedViews:
             layer = max(self._toolpath.layer_at(file_pos), 0)
         return _Drawing(self.pose(position_mm), tuple(sorted(gone.items())), layer)
 
-    def _birth(self, drawing: _Drawing) -> np.ndarray:
+    def _silhouette(self, drawing: _Drawing) -> Silhouette:
         if drawing not in self._births:
             _make_room(self._births)
-            self._births[drawing] = self._draw(drawing, self._chosen(drawing))
+            self._births[drawing] = Silhouette(self._draw(drawing, self._chosen(drawing)))
         return self._births[drawing]
 
     def _draw(self, drawing: _Drawing, chosen: np.ndarray | None) -> np.ndarray:
@@ -327,7 +350,7 @@ class ExpectedViews:
                 yield ExpectedObject(index, name, window, birth[window].copy(), 0)
 
     def _print_map(self, drawing: _Drawing) -> PrintMap:
-        birth = self._birth(drawing)
+        birth = self._silhouette(drawing).birth
         layer = np.searchsorted(self._toolpath.layer_start, birth, side="left").astype(np.int32) - 1
         owner, covers = np.full(birth.shape, NOTHING, np.int16), np.zeros(birth.shape, np.int16)
         for one in self._alone(drawing):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..expected.views import Expected, box_about, surroundings
+from ..expected.views import Expected, box_about
 from .appearance import ColourModel, Plate, count_colours, count_kinds, every_colour, opponent
 from .segment import HsvThresholds, Observation, segment_hsv
 from .weigh import Look, weigh
@@ -183,5 +183,5 @@ def _region(expected: Expected | None, shape: tuple[int, int]) -> tuple[int, int
     height, width = shape
     if expected is None:
         return (0, 0, width, height)
-    rows, columns = surroundings(expected.complete)
+    rows, columns = expected.surroundings
     return (columns.start, rows.start, columns.stop, rows.stop)

@@ -11,9 +11,10 @@ from ..calibration.printed import PrintedMarkers
 from ..calibration.refine import SilhouetteView
 from ..calibration.selfcheck import SelfCheck
 from ..camera import BedMotion, Camera
+from ..decision.align import Alignment
 from ..decision.memory import Memory
 from ..errors import FrameError
-from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, surroundings
+from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, Silhouette
 from ..head import HeadModel
 from ..header import Moment, Printer
 from ..segmentation.adaptive import AdaptiveSegmenter
@@ -44,7 +45,7 @@ class SteadyFrame:
 
     window   : which part of the picture, and in what size; all masks and pictures are of its shape
     frame    : (h, w, 3) uint8 BGR
-    outside  : (h, w) uint8, 255 where the turned camera did not look
+    outside  : (h, w) uint8, 255 where the turned camera did not look; None where it looked everywhere
     expected : what must be seen in the window; whole : in the whole picture, in its own size
     small    : `Glance.quarter` of the whole, steady and in the reference's light
     moved    : the sentence for the user where the camera has just been moved, else ""
@@ -54,7 +55,7 @@ class SteadyFrame:
 
     window: Window
     frame: np.ndarray
-    outside: np.ndarray
+    outside: np.ndarray | None
     expected: Expected
     whole: Expected
     small: np.ndarray
@@ -142,6 +143,11 @@ class View:
         self._memory_at: tuple[tuple[float, ...], Window]  # the bed's pose and the window
         self._window: Window | None = None
         self._window_for: np.ndarray | None = None  # the birth map for which the window was last found good
+        self._part: Silhouette | None = None
+        self._part_of: tuple[Window, Silhouette]
+        self._place: np.ndarray | None = None  # of the complete print, in a glance's pixels
+        self._lying: Silhouette | None = None  # the same, displaced to where the print is seen
+        self._lying_of: tuple[Alignment, Silhouette]
 
     def take_reference(self, frame_bgr: np.ndarray, moment: Moment) -> bool:
         """Take this picture, of the bed before anything lies on it, for the reference; before the first frame only.
@@ -152,7 +158,7 @@ class View:
         frame_bgr = fit_frame(frame_bgr, self._camera)
         refuse_unusable(frame_bgr, None)
         expected = self._expected.at(moment.file_pos, moment.position_mm, parked=moment.parked)
-        head = expected.head[surroundings(expected.complete)]
+        head = expected.head[expected.surroundings]
         if cv2.countNonZero(head) > MOST_HIDDEN_RATIO * head.size or self._backdrop is not None:
             return False
         self._bare_bgr, self._bare_position_mm = frame_bgr, moment.position_mm
@@ -258,14 +264,15 @@ class View:
         if not moved and self._find_markers(whole_bgr, turn, stabiliser, moment):
             expected = self.expected(moment)
             window = self._window_at(expected)
+        outside: np.ndarray | None = None
         if turn is STILL:
-            part, small, outside = window.of(glance), glance.quarter, np.zeros(window.shape, np.uint8)
+            part, small = window.of(glance), glance.quarter
         else:
             part, outside = (window.resized(one) for one in stabiliser.undo(whole_bgr, turn, window.part))
             small, _ = stabiliser.undo(glance.quarter, turn)
         light = backdrop.light.change(small)
         return SteadyFrame(
-            window, light.undone(part, window.box), outside, window.expected(expected), expected, light.undone(small),
+            window, light.undone(part, window.box), outside, self._in_window(expected), expected, light.undone(small),
             moved, turned, stabiliser.sure, whole_bgr, stabiliser, turn, light,
         )  # fmt: skip
 
@@ -282,7 +289,10 @@ class View:
         alignment = self.memory(moment).alignment
         if alignment.most_px < DISPLACED_PX:
             return steady.expected
-        return replace(steady.expected, birth=alignment.displaced(steady.expected.birth))
+        part = steady.expected.silhouette
+        if self._lying is None or self._lying_of != (alignment, part):
+            self._lying_of, self._lying = (alignment, part), Silhouette(alignment.displaced(part.birth))
+        return replace(steady.expected, birth=self._lying.birth, known_silhouette=self._lying)
 
     def check_calibration(
         self, moment: Moment, close: Window, expected: Expected, observed: np.ndarray, ignored: np.ndarray
@@ -323,19 +333,22 @@ class View:
         self._camera = camera
         self._expected = ExpectedViews(self._toolpath, camera, self._printer.bed, self._renderer, self._head)
 
-    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray:
-        """(h, w) uint8, of the size of `SteadyFrame.small`, 255 where something newly hides the view.
+    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray | None:
+        """(h, w) uint8, in the window, 255 where something newly hides the view; None where nothing does.
 
         filament : (h, w) uint8, 255 where filament is or may be in the window
         """
         assert self._backdrop is not None
-        known, place = self._backdrop.unknown.copy(), np.zeros_like(self._backdrop.unknown)
+        known = self._backdrop.unknown.copy()
         steady.window.in_small(filament, known)
         if steady.whole.volume is not None:  # the head may reach far beyond the window
             head = cv2.resize(steady.whole.volume, known.shape[::-1], interpolation=cv2.INTER_AREA)
             known |= cv2.threshold(head, 0, 255, cv2.THRESH_BINARY)[1]
-        steady.window.in_small(steady.expected.complete, place)
-        return self._backdrop.occluders.find(steady.small, known, place)
+        if self._place is None:
+            self._place = np.zeros_like(known)
+            steady.window.in_small(steady.expected.complete, self._place)
+        hiding = self._backdrop.occluders.find(steady.small, known, self._place)
+        return steady.window.from_small(hiding) if hiding.any() else None
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
@@ -351,6 +364,14 @@ class View:
             self._segmenter.look_elsewhere()
         self._window_for = expected.birth
         return self._window
+
+    def _in_window(self, expected: Expected) -> Expected:
+        """What must be seen in the window; what hangs on the birth map alone is made anew only where that is."""
+        window = self._window_at(expected)
+        if self._part is None or self._part_of != (window, expected.silhouette):
+            self._part_of, self._place = (window, expected.silhouette), None
+            self._part = Silhouette(np.ascontiguousarray(window.sampled(expected.birth)))
+        return window.expected(expected, self._part)
 
     def _backdrop_at(self, frame_bgr: np.ndarray, moment: Moment, expected: Expected) -> Backdrop:
         """Without a picture of the empty bed the first frame serves: the print is left out of it anyway."""

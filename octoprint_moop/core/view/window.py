@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ..expected.views import Expected, PrintMap, surroundings
+from ..expected.views import Expected, PrintMap, Silhouette, surroundings
 from .glance import Glance, finer, shrunk
 
 WORK_WIDTH_PX = 900  # a picture twice as wide is looked at in half the size, and so on
@@ -148,12 +148,12 @@ class Window:
         """The window's part of a mask of the size of `Glance.quarter`."""
         return cv2.resize(small[self._small], self.shape[::-1], interpolation=cv2.INTER_NEAREST)
 
-    def expected(self, expected: Expected) -> Expected:
-        """What must be seen in the window."""
+    def expected(self, expected: Expected, silhouette: Silhouette | None = None) -> Expected:
+        """What must be seen in the window. silhouette : the complete print's in it, where it is there already"""
         return Expected(
-            self.sampled(expected.birth), expected.laid, expected.before, expected.doubt,
+            self.sampled(expected.birth) if silhouette is None else silhouette.birth, expected.laid, expected.before, expected.doubt,
             None if expected.hidden is None else self.sampled(expected.hidden),
-            None if expected.volume is None else self.sampled(expected.volume),
+            None if expected.volume is None else self.sampled(expected.volume), silhouette,
         )  # fmt: skip
 
     def print_map(self, whole: PrintMap) -> PrintMap:
