@@ -54,8 +54,8 @@ def layer_starts(beads: Column, said: Said) -> np.ndarray:
     count = len(beads)
     best = np.zeros(0, np.int64)
     for marks in said.layers.values():
-        starts = np.unique(np.array(marks, np.int64))
-        starts = starts[starts < count]
+        starts = np.array(marks, np.int64)
+        starts = starts[(starts < count) & (np.diff(starts, append=count) > 0)]  # a layer of no beads is none
         if len(starts) > len(best):
             best = starts
     if len(best):

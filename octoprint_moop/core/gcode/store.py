@@ -9,7 +9,7 @@ from typing import BinaryIO, cast
 import numpy as np
 
 HEADER_BYTES = 128
-BLOCK_ROWS = 1 << 17
+BLOCK_ROWS = 1 << 15
 
 
 class Column:
