@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
-from typing import Any
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
 
 import click
 
@@ -24,7 +27,35 @@ COMMANDS = {
 
 
 class Commands(click.Group):
-    """Finds a subcommand by name, and turns what the user can mend into one line and exit status 2."""
+    """Finds a subcommand by name, and turns whatever goes wrong into one line and exit status 2."""
+
+    def main(  # type: ignore[override]  # of which it has several
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        if not standalone_mode:
+            return super().main(args, prog_name, standalone_mode=False, **extra)
+        try:
+            done = super().main(args, prog_name, standalone_mode=False, **extra)
+        except click.UsageError as error:
+            if type(error).__name__ == "NoArgsIsHelpError":  # from click 8.2 on; it is the help text
+                error.show()
+                sys.exit(error.exit_code)
+            command = error.ctx.command_path if error.ctx is not None else "moop"
+            said = " ".join(error.format_message().split()).rstrip(".")
+            _say(f"{said}. `{command} --help` says what can be given.")
+        except click.Abort:
+            click.echo("moop: stopped.", err=True)
+            sys.exit(1)
+        except Exception as error:  # a bug of ours; its traceback is for who asks for it
+            if os.environ.get("MOOP_TRACEBACK"):
+                raise
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            _say(f"this should not have happened ({said}). Please report it, with what MOOP_TRACEBACK=1 makes it say.")
+        sys.exit(done if isinstance(done, int) else 0)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted(COMMANDS)
@@ -39,14 +70,18 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except MoopError as error:
-            click.echo(f"moop: {error}", err=True)
-            ctx.exit(2)
+            _say(str(error))
         except OSError as error:
-            click.echo(f"moop: {error.filename or 'a file'}: {error.strerror or error}.", err=True)
-            ctx.exit(2)
+            if error.errno == errno.EPIPE:  # whoever reads has read enough
+                raise
+            _say(f"{error.filename or 'a file'}: {error.strerror or error}. Look at its name, its rights and the disk.")
         except ImportError as error:
-            click.echo(f"moop: a library does not load ({error}). `moop doctor` says how to mend it.", err=True)
-            ctx.exit(2)
+            _say(f"a library does not load ({error}). `moop doctor` says how to mend it.")
+
+
+def _say(what: str) -> NoReturn:
+    click.echo(f"moop: {what}", err=True)
+    sys.exit(2)
 
 
 @click.group(cls=Commands)

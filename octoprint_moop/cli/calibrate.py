@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +12,10 @@ import click
 import cv2
 import numpy as np
 
-from ..core.errors import CalibrationError, FrameError
+from ..core.errors import CalibrationError, FrameError, MoopError
 
 if TYPE_CHECKING:
+    from ..core.calibration.calibrate import Lens
     from ..core.calibration.markers import MarkerPlate
     from ..core.calibration.pose import PoseResult
 
@@ -41,13 +44,31 @@ def read_markers(path: str) -> MarkerPlate:
     from ..core.gcode.read import read_gcode
 
     if not path.lower().endswith((".gcode", ".gco", ".g", ".gz")):
-        return MarkerPlate.from_json(read_json(path))
+        with named(path):
+            return MarkerPlate.from_json(read_json(path))
     found = markers_in(read_gcode(Path(path)))
     if found is None:
         raise CalibrationError(
             f"{path}: no four equal rings that stand alone on the bed. `moop markers --model` puts them around a model."
         )
     return found
+
+
+@contextlib.contextmanager
+def named(path: str) -> Iterator[None]:
+    """An error about what a file holds names the file."""
+    try:
+        yield
+    except MoopError as error:
+        raise error if path in str(error) else type(error)(f"{path}: {error}") from None
+
+
+def read_lens(path: str) -> Lens:
+    """Raises CalibrationError where the file holds none, OSError where it cannot be read."""
+    from ..core.calibration.calibrate import Lens
+
+    with named(path):
+        return Lens.from_json(read_json(path))
 
 
 def write_json(path: str, data: dict[str, Any]) -> None:
@@ -110,11 +131,10 @@ def pose(
     output: str | None, as_json: bool,
 ) -> None:  # fmt: skip
     """The camera's pose, from an IMAGE of the marker plate on the bed."""
-    from ..core.calibration.calibrate import Lens
     from ..core.calibration.pose import calibrate_pose, calibrate_pose_any_colour
 
     plate = read_markers(markers_path)
-    lens_found = Lens.from_json(read_json(lens_path))
+    lens_found = read_lens(lens_path)
     picture = read_picture(image)
     if hue is None:
         result = calibrate_pose_any_colour(picture, lens_found, plate)
@@ -163,11 +183,11 @@ def points(
     image: str, points_path: str, lens_path: str | None, click_px: float, output: str | None, as_json: bool
 ) -> None:
     """The camera's pose, from POINTS clicked on an IMAGE: a JSON list of {"mm": [x, y, z], "px": [u, v]}."""
-    from ..core.calibration.calibrate import Lens
     from ..core.calibration.clicks import Points, pose_from_points
 
-    clicked = Points.from_json(read_json(points_path))
-    lens_found = None if lens_path is None else Lens.from_json(read_json(lens_path))
+    with named(points_path):
+        clicked = Points.from_json(read_json(points_path))
+    lens_found = None if lens_path is None else read_lens(lens_path)
     height, width = read_picture(image).shape[:2]
     if not 0.1 <= click_px <= 100:
         raise CalibrationError(f"--click-px is {click_px}; 0.1 to 100 can be.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -18,7 +19,9 @@ from .replay import placement_from
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--frame", help="The moment of this frame, e.g. frames/000012.jpg.")
-@click.option("--file-pos", type=int, help="The moment when the file is executed up to this position.")
+@click.option(
+    "--file-pos", type=click.IntRange(min=0), help="The moment when the file is executed up to this position."
+)
 @click.option(
     "--position", help="Where the machine stands then, X,Y,Z in mm; the bed's reference position if left out."
 )
@@ -43,6 +46,8 @@ def mask(
     """Write what the camera must see of the print in RECORDING at one moment."""
     if (frame is not None) + (file_pos is not None) + complete != 1:
         raise click.UsageError("Name exactly one of --frame, --file-pos and --complete.")
+    if mesh is None and mesh_at is not None:
+        raise click.UsageError("--mesh-at is about a model: name it with --mesh.")
     opened = Recording.open(recording)
     bed = opened.header.printer.bed
     camera = opened.header.camera()
@@ -76,6 +81,8 @@ def _position_mm(text: str | None) -> tuple[float, float, float] | None:
         return None
     try:
         x, y, z = (float(part) for part in text.split(","))
+        if not all(map(math.isfinite, (x, y, z))):
+            raise ValueError
     except ValueError:
         raise MoopError(f"--position {text!r}: three numbers are needed, X,Y,Z in mm, as in 0,200,2.6.") from None
     return (x, y, z)

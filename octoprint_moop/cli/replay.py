@@ -41,6 +41,10 @@ def replay(
 
     What the frames show is kept beside them, so that another sensitivity is a matter of a moment.
     """
+    if mesh is None and (mesh_at is not None or layer_height_mm is not None):
+        raise click.UsageError("--mesh-at and --layer-height-mm are about a model: name it with --mesh.")
+    if page is not None and not page.absolute().parent.is_dir():
+        raise click.UsageError(f"--report {page}: there is no folder {page.absolute().parent} to write it to.")
     settings = _settings(changes)
     report = Report(f"Replay of {recording.resolve().name}")
     opened = Recording.open(recording)

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import FrameError, MoopError, RecordingError
+from ..core.errors import CameraError, FrameError, MoopError, RecordingError
 from ..core.expected.placing import Placement
 from ..core.expected.solid import read_solid
 from ..core.header import Header, Moment
-from .pictures import decode
+from .pictures import MOST_PX, decode
 from .roads import MeshChoice, Road, find_road
 
 
@@ -106,7 +106,11 @@ class Recording:
     def _inside(self, name: str) -> Path:
         """A file of this recording; a name that leads out of the folder is refused."""
         path = self.folder / name
-        if not path.resolve().is_relative_to(self.folder.resolve()):
+        try:
+            inside = path.resolve().is_relative_to(self.folder.resolve())
+        except (OSError, ValueError):  # no name that a file could have
+            inside = False
+        if not inside:
             raise RecordingError(f"{self.folder}: the name {name!r} leads out of the recording.")
         return path
 
@@ -137,11 +141,18 @@ def _read_header(path: Path) -> Header:
 def parse_header(data: Any) -> Header:
     """A header from somebody's JSON. Raises RecordingError or CameraError, whatever it is."""
     try:
-        return Header.from_json(data)
+        header = Header.from_json(data)
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise RecordingError(
             f"The header makes no sense ({error}). Compare it with docs/formats.md, section 3."
         ) from None
+    for _, camera in header.cameras:
+        width, height = camera.image_size_px
+        if width * height > MOST_PX:
+            raise CameraError(
+                f"The camera's image size is {width} x {height} px; {MOST_PX // 10**6} megapixels at most."
+            )
+    return header
 
 
 def _read_moments(path: Path) -> Iterator[Moment]:
