@@ -251,3 +251,13 @@ def test_a_moments_interruption_is_caught_up_on_too(wired: tuple[Any, Wire]) -> 
     with page.expect_response("**/plugin/moop/status", timeout=60_000):
         wire.cut()
         wire.mend()
+
+
+def test_the_set_up_tells_why_the_webcam_gives_no_picture(page: Any) -> None:
+    """As the server says it: there are other webcams than the classic one, and other reasons than its address."""
+    page.expected_errors += ["/plugin/moop/frame"]
+    why = "OctoPrint has no webcam named 'upstairs'. Choose one in the settings."
+    page.route("**/plugin/moop/frame*", lambda route: route.fulfill(status=400, json={"code": "frame", "message": why}))
+    show_tab(page)
+    open_setup(page, "camera")
+    page.wait_for_selector(f'[data-test-id=moop-setup-trouble]:has-text("{why}")')

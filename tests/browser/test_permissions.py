@@ -49,6 +49,34 @@ def test_the_set_up_tells_an_onlooker_who_can_help(onlooker: Any) -> None:
     assert not onlooker.is_visible("[data-test-id=moop-step-camera]")
 
 
+def test_who_may_not_even_look_is_told_so_on_every_page(chromium: Any, server: DemoServer) -> None:
+    group = {
+        "key": "bare",
+        "name": "Bare",
+        "description": "",
+        "permissions": ["STATUS", "SETTINGS_READ"],
+        "subgroups": [],
+    }
+    server.api("POST", "/api/access/groups", json=group)
+    user = {"name": "stranger", "password": PASSWORD, "active": True, "admin": False, "groups": ["bare"]}
+    server.api("POST", "/api/access/users", json={**user, "permissions": []})
+    server.api("PUT", "/api/access/users/stranger", json={"groups": ["bare"], "active": True, "admin": False})
+    context = chromium.new_context()
+    try:
+        page = context.new_page()
+        log_in(page, server.url, "stranger", PASSWORD)
+        show_tab(page)
+        for name in ("watch", "past", "setup"):
+            page.click(f"[data-test-id=moop-page-{name}]")
+            page.wait_for_selector("text=You do not have the permission to >> visible=true")
+            assert not page.is_visible("[data-test-id=moop-past-asking]")
+            assert not page.is_visible("[data-test-id=moop-state-text]")
+    finally:
+        context.close()
+        server.api("DELETE", "/api/access/users/stranger")
+        server.api("DELETE", "/api/access/groups/bare")
+
+
 @pytest.mark.parametrize(
     "call",
     [

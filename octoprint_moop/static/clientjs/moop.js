@@ -234,6 +234,16 @@
         return this.address("frame") + "?t=" + Date.now();
     };
 
+    /* What the server says instead of a picture, which an image cannot tell: a promise; null where it has one now. */
+    MoopClient.prototype.whyNoFrame = function () {
+        const options = {headers: this.base.getRequestHeaders("GET"), credentials: "same-origin"};
+        return fetch(this.address("frame"), options).then(function (answer) {
+            return answer.ok ? null : answer.text().then(function (text) {
+                return {status: answer.status, responseText: text};
+            });
+        }, function () { return null; });
+    };
+
     /* The mask that these thresholds give on the last frame: a promise of a PNG blob, or of the server's error. */
     MoopClient.prototype.previewSegmentation = function (thresholds) {
         // jQuery hands over text only, hence fetch; CSRF and session go along as in every other call

@@ -39,7 +39,7 @@
         file_changed: [N_("What is printed is no longer what was read. Read the file again."), TRY_AGAIN],
         restarting: [N_("It comes back by itself in some seconds."), N_("Look again"), "refresh"],
         unusable: [N_("Checks go on with the next picture that is good. If that does not help, test the camera."), CAMERA],
-        camera_moved: [N_("Put it back as it was, or show it anew where it stands."), PLACE],
+        camera_moved: [N_("Put it back as it was. If it has to stay so, show it anew where it stands before the next print."), PLACE],
         out_of_view: [N_("Turn the camera so that the print is in the picture, or have the head moved aside for each picture."),
             N_("Change where the head is"), "settings:settings_plugin_moop"],
         bug: [N_("This is MOOP's own fault. The log has what a bug report needs."), LOG],

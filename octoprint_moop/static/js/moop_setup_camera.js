@@ -22,9 +22,12 @@
                         return;
                     }
                     self.verdicts([]);
-                    setup.trouble(MOOP.words.say(
-                        "The webcam gives no picture. Enter its snapshot address in OctoPrint's settings, under Classic Webcam."
-                    ));
+                    setup.trouble(MOOP.words.say("The webcam gives no picture."));
+                    OctoPrint.plugins.moop.whyNoFrame().then(function (why) {
+                        if (why && !self.verdicts().length) {
+                            setup.trouble(MOOP.words.refusal(why));
+                        }
+                    });
                 })
                 .always(function () { setup.busy(""); });
         };

@@ -70,6 +70,7 @@
         N_("Checking failed (%(why)s). The log has the details."),
         N_("Looking failed (%(why)s). The log has the details; please report them."),
         N_("Looking took longer than %(seconds)s s and was given up."),
+        N_("The process that looks at the pictures cannot be started (%(why)s)."),
         N_("The process that looks at the pictures ended (%(why)s)."),
         N_("The process that looks at the pictures ended and was started anew."),
         N_("The process that looks at the pictures hung and was ended."),
