@@ -18,6 +18,8 @@ log = logging.getLogger("octoprint.plugins.moop.meshes")
 
 SUFFIXES = (".stl", ".obj", ".3mf")
 MOST_BYTES = 128 * 1024 * 1024
+ROOM_BYTES = 1024 * 1024 * 1024
+"""For all of them together."""
 _BLOCK_BYTES = 1 << 20
 _NAME_LETTERS = 120
 
@@ -74,9 +76,20 @@ class Meshes:
         """Keep this for a job; `file` in it is what `store` answered. Raises OSError."""
         self._folder.mkdir(parents=True, exist_ok=True)
         known = self._read()
+        known.pop(job, None)  # the newest is the last
         known[job] = {name: value for name, value in entry.items() if name != "path"}
+        self._make_room(known, job)
         write_json(self._folder / "meshes.json", known)
         self.tidy()
+
+    def _make_room(self, known: dict[str, Any], keep: str) -> None:
+        """Forget the models that were attached longest ago, until the others fit."""
+        sizes = {path.name: path.stat().st_size for path in self._folder.iterdir() if path.suffix in SUFFIXES}
+        for job in [job for job in known if job != keep]:
+            used = {entry.get("file") for entry in known.values() if isinstance(entry, dict)}
+            if sum(size for name, size in sizes.items() if name in used) <= ROOM_BYTES:
+                return
+            del known[job]
 
     def drop(self, job: str) -> None:
         """The job has no mesh any more. Raises OSError."""

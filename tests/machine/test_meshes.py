@@ -53,6 +53,20 @@ def test_what_is_no_model_or_too_large_is_refused_and_leaves_nothing_behind(tmp_
     assert list(tmp_path.iterdir()) == []
 
 
+def test_models_that_nobody_printed_lately_make_room(tmp_path, monkeypatch):
+    monkeypatch.setattr(meshes, "ROOM_BYTES", 2500)
+    kept = Meshes(tmp_path)
+    for name in ("a", "b", "c"):
+        kept.put(name, {"file": kept.store(io.BytesIO(name.encode() * 1000), f"{name}.stl"), "use": True})
+        if name == "b":
+            kept.put("a", kept.get("a"))  # placed anew
+    assert [name for name in "abc" if kept.get(name)] == ["a", "c"]
+    assert len(list(tmp_path.glob("*.stl"))) == 2
+    kept.put("d", {"file": kept.store(io.BytesIO(b"d" * 9000), "d.stl"), "use": True})
+    assert kept.get("d") is not None, "however large, the one that was just attached is kept"
+    assert not any(kept.get(name) for name in "abc")
+
+
 def test_a_damaged_list_of_models_is_an_empty_one(tmp_path):
     (tmp_path / "meshes.json").write_text("{")
     assert Meshes(tmp_path).get("one") is None
