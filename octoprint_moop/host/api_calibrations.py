@@ -155,7 +155,8 @@ class MoopCalibrationsApi(BlueprintPlugin):
                 self._move(y + dy, z + dz, rising=dz > 0)
                 second, second_mm = self._look_at_bed()
             finally:
-                self._move(y, z, rising=dz < 0)
+                if self._printer.get_state_id() == "OPERATIONAL":  # a print that has begun meanwhile moves by itself
+                    self._move(y, z, rising=dz < 0)
         found, _ = self._bench_eye.ask(
             "bed_motion", first, second, timeout_s=MOVE_TIMEOUT_S, camera=camera, printer=printer,
             first_mm=list(first_mm), second_mm=list(second_mm),

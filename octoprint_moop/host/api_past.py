@@ -72,8 +72,10 @@ class MoopPastApi(BlueprintPlugin):
         _, blobs = self._bench_eye.ask("shrink", path.read_bytes(), timeout_s=THUMBNAIL_S, width_px=THUMBNAIL_PX)
         with contextlib.suppress(OSError):  # it is drawn anew the next time
             small.parent.mkdir(parents=True, exist_ok=True)
-            for older in small.parent.glob(f"{name}.*.jpg"):
-                older.unlink(missing_ok=True)
+            for other in small.parent.glob("*.jpg"):
+                its_name = other.name.rsplit(".", 2)[0]
+                if its_name == name or not (self._recordings / its_name).is_dir():
+                    other.unlink(missing_ok=True)
             small.write_bytes(blobs[0])
         return picture_response(blobs[0])
 

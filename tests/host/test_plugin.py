@@ -70,3 +70,43 @@ def test_a_setting_sent_as_null_is_as_by_default(plugin, monkeypatch):
     plugin.on_settings_save({"webcam": None, "every_layers": None, "on_failed": "notify"})
     assert plugin._moop_settings == Settings(on_failed="notify")
     assert not plugin._plugin_manager.calls
+
+
+@pytest.mark.parametrize(("state", "moves"), [("OPERATIONAL", [30.0, 80.0, 20.0, 10.0]), ("STARTING", [30.0, 80.0])])
+def test_a_bed_is_not_moved_back_into_a_print_that_has_begun_meanwhile(plugin, monkeypatch, state, moves):
+    """With positions that are relative by now, or a head that is being homed."""
+    at, jogged = {"state": "OPERATIONAL"}, []
+    plugin._printer = SimpleNamespace(
+        get_state_id=lambda: at["state"], jog=lambda axes, **_: jogged.extend(axes.values())
+    )
+    plugin._pose_picture, plugin._pose_position_mm = b"jpeg", (10.0, 20.0, 10.0)
+    plugin._bench_eye = SimpleNamespace(ask=lambda *_, **__: ({"bed_motion": "y"}, []))
+    monkeypatch.setattr(plugin, "_short_move", lambda: ((10.0, 20.0, 10.0), (60.0, 20.0)))
+
+    def look():
+        at["state"] = state
+        return b"jpeg", (10.0, 80.0, 30.0)
+
+    monkeypatch.setattr(plugin, "_look_at_bed", look)
+    assert plugin._measured_motion({"camera": {"K": 1}, "printer": {"origin": "center"}}) == {"bed_motion": "y"}
+    assert jogged == moves
+
+
+def test_thumbnails_go_with_their_recordings(plugin, tmp_path, monkeypatch):
+    flask = pytest.importorskip("flask")
+    plugin._recordings = tmp_path / "recordings"
+    kept = tmp_path / "cache" / "thumbnails"
+    kept.mkdir(parents=True)
+    folder = plugin._recordings / "2026-11-22_12-00-00_a.b"
+    (folder / "frames").mkdir(parents=True)
+    (folder / "frames" / "000001.jpg").write_bytes(b"jpeg")
+    (folder / "frames.jsonl").write_text('{"frame": "frames/000001.jpg"}\n')
+    for name in ("2025-01-01_00-00-00_gone.000009.jpg", f"{folder.name}.000000.jpg"):
+        (kept / name).write_bytes(b"old")
+    plugin._bench_eye = SimpleNamespace(ask=lambda *_, **__: ({}, [b"small"]))
+    with flask.Flask("test").test_request_context():
+        monkeypatch.setattr(
+            "octoprint_moop.host.api_past.MoopPastApi._recording", lambda self, name: folder, raising=False
+        )
+        plugin.get_thumbnail.__wrapped__(plugin, folder.name)
+    assert [path.name for path in kept.iterdir()] == [f"{folder.name}.000001.jpg"]
