@@ -260,3 +260,19 @@ def test_where_nobody_lost_matter_nobody_is_excused():
 
 def test_an_object_that_is_well_stays_well():
     assert blamed(outcome(0, FAILED, lost=3), outcome(1, OK)) == [FAILED, OK]
+
+
+# --- fresh matter -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("newer_seen_px", "surprise"), [(400, 0.0), (395, 1.0), (390, 2.0), (200, 2.0)])
+def test_what_is_not_seen_of_older_layers_counts_as_far_as_newer_ones_bear_it_out(newer_seen_px, surprise):
+    """A tenth of what eight layers cover is not seen; of the last four none, a share an eighth as large, a quarter, five times."""
+    good = track_of(unseen=0.0, lost=0.0)
+    fresh = ((0, 0), (0, 0), (400, newer_seen_px), (1600, 1440))
+    assert size("all", good, unseen_px=160, fresh=fresh) == pytest.approx(surprise)
+    assert learn(good, replace(PLAIN, unseen_px=160, fresh=fresh)).unseen[-1] * 20_000 == pytest.approx(80 * surprise)
+
+
+def test_too_few_new_pixels_bear_nothing_out():
+    assert size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=((0, 0), (0, 0), (39, 39), (1600, 1440))) == 2

@@ -29,6 +29,7 @@ DIM_WIDENS = 8.0  # by how much all limits grow with the share of standing matte
 RIM_LIMIT = 0.1  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
+BORNE_OUT = 4.0  # times what newer layers show of it: where they show a quarter as much by area, all of it counts
 FRESH_CHECKS = 4  # so many good checks before shares are compared; until then only barren matter counts
 BARREN_PRIOR = 0.3  # share of barren matter that is let pass until then
 CUSUM_ALONE = 5.0  # so much weak evidence needs no strong one
@@ -99,7 +100,7 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     # a pixel's width of light along the edges comes and goes; a shift shows along a good part of them
     faint = _above(track.rim, evidence.rim_px / total) / max(limit, wide * RIM_LIMIT * evidence.edge_px / total)
     if not track.quiet:
-        faint += _above(track.unseen, evidence.unseen_px / total) / limit
+        faint += _above(track.unseen, _still_unseen_px(evidence) / total) / limit
     found = [
         Surprise("lost", lost),
         Surprise("stray", stray),
@@ -116,6 +117,17 @@ def _barren(track: Track, evidence: Evidence, limit: float) -> float:
     if len(track.barren) < FRESH_CHECKS:
         usual = max(usual, BARREN_PRIOR * evidence.deep_px / total)
     return (evidence.barren_px / total - usual) / limit
+
+
+def _still_unseen_px(evidence: Evidence) -> float:
+    """Unseen matter, as far as the newer half of the last layers bears it out: where they are seen, matter comes, and what
+    is not seen of those before is in the shade of it, or shines like the bed.
+    """
+    (newer_px, newer_seen_px), (all_px, seen_px) = evidence.fresh[-2:]
+    if newer_px < FRESH_LEAST_PX or seen_px >= all_px:
+        return evidence.unseen_px
+    newer_share, share = 1 - newer_seen_px / newer_px, 1 - seen_px / all_px
+    return evidence.unseen_px * min(1.0, BORNE_OUT * newer_share / share)
 
 
 def _above(past: tuple[float, ...], value: float) -> float:
@@ -188,7 +200,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
         lost=_with(track.lost, evidence.lost_px / total),
         stray=_with(track.stray, evidence.stray_px / total),
         rim=_with(track.rim, evidence.rim_px / total),
-        unseen=_with(track.unseen, evidence.unseen_px / total),
+        unseen=_with(track.unseen, _still_unseen_px(evidence) / total),
         barren=_with(track.barren, evidence.barren_px / total),
         dim=_with(track.dim, evidence.dim_px / max(evidence.expected_px, 1)),
         seen=tuple(
