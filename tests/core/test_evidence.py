@@ -11,7 +11,7 @@ from octoprint_moop.core.decision.evidence import find
 from octoprint_moop.core.decision.spots import near_to, without_specks
 from octoprint_moop.core.expected.views import surroundings
 
-from .stage import BED_BGR, LAYER_PX, SHAPE, Stage, moved, wall, walls
+from .stage import BED_BGR, GROUND, LAYER_PX, SHAPE, Stage, moved, wall, walls
 
 
 def figures(evidence):
@@ -134,6 +134,27 @@ def test_dark_matter_that_shines_brighter_than_the_bed_at_one_layer_has_not_gone
 
     assert lost_px(10) == 0
     assert lost_px(0) > 1000  # bare bed, and so gone
+
+
+@pytest.mark.parametrize(("shade", "gone"), [(0, False), (-30, True)])
+def test_matter_in_shade_that_looks_as_the_bed_did_has_not_gone_while_the_bed_lies_in_less_light(shade, gone):
+    stage = Stage().printed(12)
+    sight = stage.sight(13, wall(1, 13))  # segmentation sees the one wall,
+    sight.frame_bgr[~wall(1, 13)] = np.array(BED_BGR) - 30  # the bed is darker now,
+    sight.frame_bgr[wall(0, 13)] = np.array(BED_BGR) + shade  # and where the other stood it looks so
+    assert (find(sight, stage.memory).scopes[1].lost_px > 500) is gone
+
+
+@pytest.mark.parametrize(("spread_px", "counted"), [(0.3, True), (1.2, False)])
+def test_a_line_no_thicker_than_contours_are_known_to_be_off_is_no_missing_matter(spread_px, counted):
+    """How a failure is named may still depend on such a line."""
+    stage = Stage().printed(20)
+    stage.memory.spread_px = spread_px
+    matter = walls(21)
+    matter[: GROUND - 22 * LAYER_PX + 3] = False
+    found = stage.look(21, matter)
+    assert np.count_nonzero(found.unseen) > 100
+    assert (found.whole.unseen_px > 100) is counted
 
 
 def test_layers_that_are_shifted_are_not_a_camera_that_moved():

@@ -261,10 +261,13 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         stray &= ~(memory.looks_shaded(window, look, stray) & within(wanted_u8, SHADE_PX * sight.finer))
     rim &= ~memory.looks_shaded(window, look, rim)
     stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
-    hidden_px = _hidden_px(memory, window, look, lost, stray, known & ~observed & ~near_wanted)
+    bed = known & ~observed & ~near_wanted
+    hidden_px = _hidden_px(memory, window, look, lost, stray, bed)
     gone, gone_px = lost, np.count_nonzero(lost)
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
-    if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, known & ~observed & ~near_wanted):
+    if lost.any():
+        lost &= ~memory.looks_unlike_bed(window, look, lost, bed)
+    if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, bed):
         lost = np.zeros_like(lost)
     stray = _could_have_come(stray, sight.laid_px, int(np.count_nonzero(lost)))
     loose_u8 = np.where(memory.loose(window), np.uint8(255), np.uint8(0))
@@ -281,8 +284,10 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         untold_px = 0
     elif np.count_nonzero(stray) > STRAY_RATIO * untold_px:  # it lies beside its place, so it has gone from there
         untold_px, lost = 0, lost | without_specks(gone)
+    # what is no thicker than contours are known to be off is named, where that is asked, and not counted
+    missed = cv2.morphologyEx(unseen.view(np.uint8), cv2.MORPH_OPEN, np.ones((off_px + 1,) * 2, np.uint8)) > 0
     scopes = _count(
-        sight, window, wanted, observed, known, standing, lost, stray, rim, later, unseen, deep, barren, inside
+        sight, window, wanted, observed, known, standing, lost, stray, rim, later, missed, deep, barren, inside
     )
     return Findings(
         window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, untold_px, scopes, loose

@@ -117,6 +117,20 @@ class Memory:
         changes = [now.astype(np.float32) - bare for now, bare in zip(look, self.bare(window))]
         return max(abs(float(change[where].mean() - change[beside].mean())) for change in changes)
 
+    def looks_unlike_bed(self, window: Window, look: np.ndarray, where: np.ndarray, bed: np.ndarray) -> np.ndarray:
+        """bool: of the pixels `where`, those that look bare only because the bed beside them, `bed`, lies in another light now.
+
+        Light is undone by what is around the print in the whole picture, which a dark bed need not follow.
+        """
+        bed = bed & self._has_bare[window]
+        if np.count_nonzero(bed) < BED_LEAST_PX:
+            return np.zeros_like(where)
+        changes = [float(np.median(now[bed]) - np.median(then[bed])) for now, then in zip(look, self.bare(window))]
+        if max(abs(change) for change in changes) < CHANGED / 2:
+            return np.zeros_like(where)
+        undone = np.stack([cv2.subtract(now, (change, 0, 0, 0)) for now, change in zip(look, changes)])
+        return self.looks_new(window, undone, where, CHANGED // 2, unknown=False)
+
     def shines(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> bool:
         """Whether the pixels `where`, of which dark matter was seen on a brighter bed, are brighter than it now, on average
         and against those `beside`: solid lines shine or not as they lie to the lamp, a bed from which they came off does not.
