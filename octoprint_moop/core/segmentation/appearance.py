@@ -161,11 +161,13 @@ def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None
     cells = _cells(colours)
     ratio = np.take(model.ratios, cells, mode="clip")  # which they all are within, but numpy need not ask
     if plate is not None:
+        share, least = np.float32(_STAY_SHARE), np.float32(change * math.log(1 - _STAY_SHARE))
+        # where colour says all that may be said, nothing is gained
+        few = np.flatnonzero(ratio * plate.known < EVIDENCE_MAX - least)
+        apart = cv2.blur(channel_sum(cv2.absdiff(colours, plate.colours)), (3, 3))
+        stay, known = _STAY[apart.ravel()[few]], plate.known.ravel()[few]
+        dense = model.densities[(known < 0).view(np.uint8), cells.ravel()[few]] + np.float32(_FLOOR)
         # log(share x stay + (1 - share) x dense) - log(dense), of the kind that the pixel was known to be
-        stay = cv2.LUT(cv2.blur(channel_sum(cv2.absdiff(colours, plate.colours)), (3, 3)), _STAY)
-        background = plate.known < 0
-        dense = np.take(model.densities, cells + background * np.int32(_CELLS)) + np.float32(_FLOOR)
-        share, least = np.float32(_STAY_SHARE), change * math.log(1 - _STAY_SHARE)
-        gain = cv2.max(cv2.log(stay * (share / dense) + (1 - share)), least)
-        ratio += gain * plate.known
+        gain = np.maximum(np.log(stay * (share / dense) + (1 - share)), least)
+        ratio.ravel()[few] += gain * known
     return np.clip(ratio, -EVIDENCE_MAX, EVIDENCE_MAX, out=ratio)
