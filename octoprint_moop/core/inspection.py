@@ -254,10 +254,10 @@ class Inspector:
         layer = self._toolpath.layer_at(moment.file_pos)
         finer = max(1.0, window.size_px[0] / 640) / window.step
         tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step
-        laid_px = view.laid_px(moment, self._good_laid.get(moment.camera, 0)) / window.step**2
+        laid = self._good_laid.get(moment.camera, 0)
         sight = Sight(
-            steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer, laid_px,
-            steady.sure,
+            steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer,
+            lambda: view.laid_px(moment, laid) / window.step**2, steady.sure,
         )  # fmt: skip
         findings = find(sight, memory)
         hidden_px = max(findings.hidden_px, findings.untold_px)

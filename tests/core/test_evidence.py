@@ -224,7 +224,7 @@ def test_more_than_was_laid_cannot_have_come():
     strand[150:154, 234:262] = True
 
     def stray_px(matter: np.ndarray, laid_px: float) -> int:
-        sight = replace(stage.sight(12, matter), laid_px=laid_px)
+        sight = replace(stage.sight(12, matter), laid_px=lambda: laid_px)
         return find(sight, stage.memory).whole.stray_px
 
     assert stray_px(walls(12) | sleeve, 200.0) == 0

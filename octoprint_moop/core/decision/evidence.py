@@ -19,7 +19,7 @@ the camera was moved and not the print.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -58,7 +58,7 @@ class Sight:
     frame_bgr : steadied and levelled; observed : 255 where filament is seen; ignored : 255 where nothing can be said
     layer     : the last layer of which something lies
     finer     : a length in a picture 640 pixels across is so many times longer in this one
-    laid_px   : so many pixels would be covered by what was laid since all was last well, spread out line beside line
+    laid_px   : tells how many pixels would be covered by what was laid since all was last well, line beside line
     sure      : the view as a whole has told where the camera stands
     """
 
@@ -70,7 +70,7 @@ class Sight:
     layer: int
     tolerance_px: float
     finer: float = 1.0
-    laid_px: float = math.inf
+    laid_px: Callable[[], float] = lambda: math.inf
     sure: bool = True
 
 
@@ -257,24 +257,27 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered)
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
     # dark filament and its own shadow look alike
+    rim &= ~memory.looks_shaded(window, look, rim)
     if stray.any():
         stray &= ~(memory.looks_shaded(window, look, stray) & within(wanted_u8, SHADE_PX * sight.finer))
-    rim &= ~memory.looks_shaded(window, look, rim)
-    stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
-    bed = known & ~observed & ~near_wanted
-    hidden_px = _hidden_px(memory, window, look, lost, stray, bed)
-    gone, gone_px = lost, np.count_nonzero(lost)
-    lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
-    if lost.any():
-        lost &= ~memory.looks_unlike_bed(window, look, lost, bed)
-    if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, bed):
-        lost = np.zeros_like(lost)
-    stray = _could_have_come(stray, sight.laid_px, int(np.count_nonzero(lost)))
-    loose_u8 = np.where(memory.loose(window), np.uint8(255), np.uint8(0))
-    loose = near_to(loose_u8, stray | rim, LOOSE_PX * sight.finer)
-    stray, rim = stray & ~loose, rim & ~loose
-    if loose_u8.any():  # strands hide and show what they hang before
-        lost &= ~within(loose_u8, LOOSE_PX * sight.finer)
+        stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
+    gone, gone_px, hidden_px = lost, np.count_nonzero(lost), 0
+    if gone_px:
+        bed = known & ~observed & ~near_wanted
+        hidden_px = _hidden_px(memory, window, look, lost, stray, bed)
+        lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
+        if lost.any():
+            lost &= ~memory.looks_unlike_bed(window, look, lost, bed)
+        if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, bed):
+            lost = np.zeros_like(lost)
+    if stray.any():
+        stray = _could_have_come(stray, sight.laid_px(), int(np.count_nonzero(lost)))
+    loose = memory.loose(window)
+    if loose.any():
+        loose_u8 = np.where(loose, np.uint8(255), np.uint8(0))
+        loose = near_to(loose_u8, stray | rim, LOOSE_PX * sight.finer)
+        stray, rim = stray & ~loose, rim & ~loose
+        lost &= ~within(loose_u8, LOOSE_PX * sight.finer)  # strands hide and show what they hang before
     alike = _could_be_matter(lost | unseen | barren, wanted, observed & wanted & ~unchanged, look, memory.bare(window))
     lost, unseen, barren = lost & ~alike, unseen & ~alike, barren & ~alike
     untold_px = int(gone_px - np.count_nonzero(lost))
@@ -317,12 +320,9 @@ def _could_be_matter(
     if not where.any() or matter_px < SEEN_RATIO * np.count_nonzero(wanted):
         return np.zeros_like(where)  # next to nothing is seen, and what there is may be the bed
     near = cv2.calcHist([*look], [0, 1, 2], matter.view(np.uint8), [16, 16, 16], [0, 256, 0, 256, 0, 256])
-    for axis in range(3):
-        alone = np.moveaxis(near, axis, 0)
-        near = alone.copy()
-        near[1:] += alone[:-1]
-        near[:-1] += alone[1:]
-        near = np.moveaxis(near, 0, axis)
+    for _ in range(3):  # along one axis after the other
+        near = cv2.boxFilter(near.reshape(16, 256), -1, (1, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        near = near.reshape(16, 16, 16).transpose(1, 2, 0).copy()
     blue, green, red = (plane[where] >> 4 for plane in bare)
     alike = np.zeros_like(where)
     alike[where] = near[blue, green, red] > ALIKE_RATIO * matter_px
@@ -367,7 +367,7 @@ def _count(
         **near(stray_px=stray, rim_px=rim, extra_px=extra),
     }  # fmt: skip
     figures["xor_px"] += figures.pop("extra_px")
-    fresh = own.younger(later, ~unseen, sight.layer - print_map.layer[window])
+    fresh = own.younger(later, ~unseen, print_map.layer[window], sight.layer)
     return tuple(
         Evidence(scope, **{name: int(counts[n]) for name, counts in figures.items()}, fresh=fresh[n])
         for n, scope in enumerate(scopes)
@@ -408,16 +408,18 @@ class _Counter:
         set_in = np.unpackbits(np.arange(256, dtype=np.uint8)[None], axis=0)[-len(masks) :]
         return dict(zip(masks, (set_in.astype(float) @ both.T.astype(float)).astype(np.int64)))
 
-    def younger(self, mask: np.ndarray, seen: np.ndarray, age: np.ndarray) -> list[tuple[tuple[int, int], ...]]:
-        """For each scope and each of WINDOWS: the mask's pixels whose age in layers is less, and how many are seen.
+    def younger(
+        self, mask: np.ndarray, seen: np.ndarray, layer_of: np.ndarray, layer: int
+    ) -> list[tuple[tuple[int, int], ...]]:
+        """For each scope and each of WINDOWS: the mask's pixels of the last so many layers, and how many are seen.
 
-        mask, seen : bool; none is younger than 0
+        mask, seen : bool; no pixel of the mask is of a later layer than `layer`, or of an earlier one than WINDOWS reach
         """
         mask, oldest = mask[self._few], WINDOWS[-1]
-        kinds = 2 * np.clip(age[self._few][mask], 0, oldest) + seen[self._few][mask]
+        kinds = 2 * (layer - layer_of[self._few][mask]) + seen[self._few][mask]
         if self._owner is not None:
-            kinds += self._owner[mask].astype(kinds.dtype) * (2 * oldest + 2)
-        both = np.bincount(kinds, minlength=self._scopes * (2 * oldest + 2)).reshape(self._scopes, -1, 2)
+            kinds += self._owner[mask].astype(kinds.dtype) * (2 * oldest)
+        both = np.bincount(kinds, minlength=self._scopes * 2 * oldest).reshape(self._scopes, -1, 2)
         both[0] = both.sum(axis=0)
         upto = both.cumsum(axis=1)[:, [layers - 1 for layers in WINDOWS]].tolist()
         return [tuple((unseen_px + seen_px, seen_px) for unseen_px, seen_px in scope) for scope in upto]

@@ -25,7 +25,7 @@ def refuse_unusable(frame_bgr: np.ndarray, previous_bgr: np.ndarray | None, glan
     small = (glance or Glance(frame_bgr)).quarter
     blue, green, red = cv2.split(small)
     brightest, darkest = cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red)
-    if np.partition(brightest.ravel(), -brightest.size // 100)[-brightest.size // 100] < 16:
+    if np.count_nonzero(brightest >= 16) < brightest.size / 100:
         raise FrameError("The picture is black. Is the lamp on, and the camera's lens free?")
     if np.count_nonzero(darkest > 250) > 0.9 * darkest.size:
         raise FrameError("The picture is white throughout. Lower the camera's exposure.")
