@@ -27,7 +27,7 @@ from typing import IO, Any, Callable
 
 import cv2
 
-from ..core.errors import MoopError
+from ..core.errors import MoopError, RecordingError
 from ..core.gcode.read import read_gcode
 from ..core.header import Header, Moment
 from ..core.inspection import Inspector
@@ -121,8 +121,12 @@ class Eye:
             Header.from_json(header), toolpath, road.drawn_by(self._draw()), read_settings(settings), reference
         )
         self._inspector.draw_ahead()
+        notes = [*road.notes]
         if recording:
-            self._learn_again(Recording.open(recording), said or {})
+            try:
+                self._learn_again(Recording.open(recording), said or {})
+            except RecordingError as error:
+                notes.append(f"What was known of this print cannot be learned again. {error}")
         answer = {
             "road": road.name,
             "layers": toolpath.layers,
@@ -134,7 +138,7 @@ class Eye:
             # an object for each layer would have the server's garbage collector stop all of its threads for a while
             "modes": [one.to_json() for one in kinds],
             "mode_of": [kinds[one] for one in modes],
-            "notes": list(road.notes),
+            "notes": notes,
             "renderer": self._draw().name,
         }
         toolpath.let_go()

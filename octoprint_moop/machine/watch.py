@@ -200,6 +200,8 @@ class Watch:
             return
         except MoopError as error:
             self._ledger.blind(error.code, str(error))
+            if current.ready and self._eye.births == current.born:  # what it knew before, it still knows
+                self._plan(current)
             return
         finally:
             self._ledger.note(reading=None)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from octoprint_moop.core.errors import GcodeError
 from octoprint_moop.machine import clock, watch
 from octoprint_moop.machine.jobs import Job
 from octoprint_moop.machine.webcam import Webcam
@@ -144,4 +145,23 @@ def test_another_webcam_in_the_settings_is_for_the_next_print(endless, tmp_path)
     chosen[0] = "side"
     assert endless.comes_by(200)
     assert looked == ["front", "front"]
+    endless.watch.job_over("done")
+
+
+def test_what_cannot_be_learned_anew_does_not_end_the_watching(endless, tmp_path):
+    """The file was deleted meanwhile, and nothing is recorded: the eye still knows what it has read."""
+    begin(endless, tmp_path)
+    assert endless.comes_by(100)
+    ask = endless.eye.ask
+
+    def asking(what, *blobs, **arguments):
+        if what == "open":
+            raise GcodeError("There is no file 9.gcode. Check the name.")
+        return ask(what, *blobs, **arguments)
+
+    endless.eye.ask = asking
+    endless.watch.apply(replace(endless.watch._settings, hue_max_deg=40.0))
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "gcode")
+    endless.wait(lambda: endless.comes_by(200), 5)
+    endless.wait(lambda: endless.ledger.status["watching"], 5)
     endless.watch.job_over("done")
