@@ -153,14 +153,16 @@ class _Reader:
         self.end_pos = Column("<i8", 1, folder and folder / "end_pos.npy")
 
     def read(self, chunk: bytes, length: int) -> None:
-        if self.machine.extruder != "E" or (b"\r" in chunk and chunk.count(b"\r") != chunk.count(b"\r\n")):
+        if b"\r" in chunk and b"\r\n" not in chunk:
+            chunk = chunk.replace(b"\r", b"\n")
+        if self.machine.extruder != "E" or chunk.count(b"\r") != chunk.count(b"\r\n"):
             self._read_by_line(chunk, length)
         else:
             self._read_by_rows(chunk, length)
         self._keep_interpreted()
 
     def _read_by_line(self, chunk: bytes, length: int) -> None:
-        """Lines may end in a carriage return alone."""
+        """Some lines end in a carriage return alone, and some do not."""
         end, self.machine.read_bytes = 0, self.position + length
         for raw in chunk.splitlines(keepends=True):
             end += len(raw)

@@ -1,8 +1,8 @@
 """From the bytes of G-code to columns of numbers, a whole chunk at once.
 
 A *row* is a line of a shape that nearly all lines have: `G0`, `G1`, `G2` or `G3` followed by words like `X12.5`, each
-after a blank; `G92 E…`; a bare `G10` or `G11`. Everything else (comments, settings, lower case, checksums, missing
-blanks, anything damaged) is left to the line-by-line interpreter.
+after a blank; `G92 E…`; a bare `G10` or `G11`. Everything else (comments, settings, anything damaged) is left to the
+line-by-line interpreter. Where most lines are in lower case, without blanks or with line numbers, they are rewritten.
 
 Numbers are not converted from text to floating point, which is dear: the last eight bytes of all words are read as
 64-bit integers, in which eight digits are added up at once, see `Figures`.
@@ -10,7 +10,8 @@ Numbers are not converted from text to floating point, which is dear: the last e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,9 +22,15 @@ MOST_CHARACTERS = 15  # of one number without its sign; longer ones are left to 
 _ELSE, _ENDS_WORD = 0x20, 0x60
 _WORTH = bytearray([_ENDS_WORD] * 33 + [_ELSE] * 223)
 _WORTH[ord("0") : ord("9") + 1] = range(10)
-_WORTH[ord(".")], _WORTH[ord(";")] = 0x10, _ENDS_WORD
+_WORTH[ord(".")], _WORTH[ord(";")], _WORTH[ord("*")] = 0x10, _ENDS_WORD, _ENDS_WORD
 _PAD = b"\n" * 16
 _BLANK = ord(" ")
+
+MOST_ODD_LINES = 0.25  # of all lines may begin as moves do and be no rows, before they are rewritten
+_ODD_BEGIN = np.frombuffer(b"GgNn \t", np.uint8)
+_ODD_COMMAND = re.compile(
+    rb"^(?=[ \tN]|G[ \t0])[ \t]{0,8}(?:N[ \t]{0,8}\d{1,9}[ \t]{0,8})?G[ \t]{0,8}0{0,4}(?=\d)", re.MULTILINE
+)
 
 AXES = tuple(ord(letter) for letter in "XYZE")
 ARC_WORDS = tuple(ord(letter) for letter in "IJRP")
@@ -51,6 +58,26 @@ class Lines:
 
 def split(chunk: bytes) -> Lines:
     """Lines and words of a chunk, which must end with a newline."""
+    lines = _split(chunk)
+    odd = np.frombuffer(chunk, np.uint8).take(lines.start[lines.kind == OTHER])
+    if np.isin(odd, _ODD_BEGIN).sum() <= MOST_ODD_LINES * len(lines.kind):
+        return lines
+    usual = _split(_as_usual(chunk))
+    return replace(lines, kind=usual.kind, rows_before=usual.rows_before, words=usual.words)
+
+
+def _as_usual(chunk: bytes) -> bytes:
+    """The same lines, in upper case, with a blank before each word, and without line numbers and zeros before commands."""
+    chunk = chunk.upper()
+    if _ODD_COMMAND.search(chunk):
+        chunk = _ODD_COMMAND.sub(b"G", chunk)
+    text = np.frombuffer(chunk, np.uint8)
+    letter = (text >= ord("A")) & (text <= ord("Z"))
+    figure = (text >= ord("0")) & (text <= ord("9")) | (text == ord("."))
+    return np.insert(text, np.flatnonzero(figure[:-1] & letter[1:]) + 1, _BLANK).tobytes()
+
+
+def _split(chunk: bytes) -> Lines:
     text = np.frombuffer(chunk, np.uint8)
     figures = Figures(chunk)
     stops = np.flatnonzero(figures.worth == _ENDS_WORD)  # pieces end here; a line's first one is its command
@@ -70,8 +97,7 @@ def split(chunk: bytes) -> Lines:
     np.cumsum(kind != OTHER, out=rows_before[1:])
     has_arcs = bool(((kind == ARC_CW) | (kind == ARC_CCW)).any())
     letters = AXES + ARC_WORDS if has_arcs else AXES
-    columns = {letter: words.of(letter) for letter in letters}
-    return Lines(start, end, kind, rows_before, columns, figures)
+    return Lines(start, end, kind, rows_before, {letter: words.of(letter) for letter in letters}, figures)
 
 
 def _after(last: np.ndarray) -> np.ndarray:
@@ -98,11 +124,11 @@ def _kinds(text: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def _code_end(stop_byte: np.ndarray, last_piece: np.ndarray) -> np.ndarray:
-    """(n,) int64: each line's last piece that is no comment."""
+    """(n,) int64: each line's last piece that is no comment and no checksum."""
     code_end = last_piece.copy()
-    semicolons = np.flatnonzero(stop_byte == ord(";"))
-    line = np.searchsorted(last_piece, semicolons)
-    code_end[line[::-1]] = semicolons[::-1]  # of those in one line the first is put down last
+    marks = np.flatnonzero((stop_byte == ord(";")) | (stop_byte == ord("*")))
+    line = np.searchsorted(last_piece, marks)
+    code_end[line[::-1]] = marks[::-1]  # of those in one line the first is put down last
     return code_end
 
 
