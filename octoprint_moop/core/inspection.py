@@ -34,6 +34,13 @@ HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something to
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 HEAD_HIDES = "The print head hides the print. Let it park for the picture."
 ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
+UNLIKE = (
+    "The print is seen badly: so much of the picture is not as expected, good as it may be, that little could be told from it. "
+    "Calibrate the camera anew, see that the lamp lights the print, or clear away what has the filament's colour."
+)
+BADLY_SEEN = (
+    0.25  # the E that is usual, though nothing is wrong: of so little that is right no one would tell what fails
+)
 SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
 MISSED_RATIO = 0.1  # of what is not seen; where less is known to be missing or out of place, the rest may be there
 DRIFT_LEAST = 4.0  # grey levels by which a place where nothing came has not changed
@@ -64,6 +71,8 @@ class Check:
         worst = ruling.worst
         if worst.verdict == OK and look.little:
             return cls(moment, UNUSABLE, look.comparison, limit=ruling.limit, reason=look.little)
+        if worst.verdict == OK and ruling.unlike > BADLY_SEEN:
+            return cls(moment, UNUSABLE, look.comparison, limit=ruling.limit, reason=UNLIKE)
         named = look.names.get(worst.object_id) if worst.verdict != OK else None
         who = f"{objects[worst.object_id]}: " if worst.object_id >= 0 else ""
         return cls(

@@ -9,10 +9,11 @@ import pytest
 
 from octoprint_moop.core.decision.compare import Comparison
 from octoprint_moop.core.decision.course import Course, Courses, Look
-from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, accept
+from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, UNUSABLE, accept
 from octoprint_moop.core.decision.diagnose import Diagnosis
 from octoprint_moop.core.decision.evidence import WHOLE, Evidence
 from octoprint_moop.core.header import Moment
+from octoprint_moop.core.inspection import Check
 
 TOTAL_PX = 20_000
 LIMIT_PX = MATTER_LIMIT_RATIO * TOTAL_PX
@@ -151,6 +152,22 @@ def test_matter_beside_a_print_that_is_hardly_seen_is_suspect_at_most():
     course = course_after_good()
     assert {verdict(course, replace(look(9.0), little="The head.")) for _ in range(5)} == {SUSPECT}
     assert verdict(course, look(9.0)) == FAILED
+
+
+def test_where_a_quarter_is_usually_not_as_expected_all_well_is_not_said_but_a_failure_is():
+    """Stray pixels that are usual raise no alarm, and yet hardly anything could be told from such a picture."""
+    courses = Courses("medium")
+
+    def check(wrong_px: int, limits: float = 0.0) -> Check:
+        seen = look(limits)
+        seen = replace(seen, scopes=tuple(replace(scope, xor_px=wrong_px) for scope in seen.scopes))
+        seen = replace(seen, names={WHOLE: Diagnosis("stray_material", "Material lies where none should be.")})
+        return Check.of(Moment("", 0, 0, (0.0, 0.0, 0.0)), *courses.rule(seen, Moment("", 0, 0, (0.0, 0.0, 0.0))), [])
+
+    checks = [check(int(0.3 * TOTAL_PX)) for _ in range(5)]
+    assert [one.verdict for one in checks] == [OK] * 3 + [UNUSABLE] * 2
+    assert "Calibrate the camera" in checks[-1].reason
+    assert check(int(0.3 * TOTAL_PX), 9.0).verdict == FAILED
 
 
 def test_a_look_survives_json():

@@ -19,6 +19,7 @@ from .decide import (
     CONFIRMED,
     DECISIVE,
     FAILED,
+    FRESH_CHECKS,
     GOOD_CHECKS,
     OK,
     SUSPECT,
@@ -94,12 +95,14 @@ class Ruling:
     limit   : the E that is usual, its spread, and as much matter out of place as is tolerated: for the plot, since the
     decision weighs pixels and does not ask for E itself
     teaches : all is well, and this was not known of this layer yet
+    unlike  : the E, once the misfit is taken out, of checks in which all was well; 0 until enough have told
     """
 
     outcomes: tuple[Outcome, ...]
     worst: Outcome
     limit: float
     teaches: bool
+    unlike: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,9 @@ class Course:
             if look.comparison is not None:
                 errors = (*errors, look.comparison.error_ratio)[-GOOD_CHECKS:]
         taught = known and self._last is not None and self._last[1].teaches
-        ruling = Ruling(tuple(outcomes), worst, limit, teaches=not alarmed and not taught)
+        unlike = tracks[WHOLE].unlike
+        unlike_ratio = median(unlike) if len(unlike) >= FRESH_CHECKS else 0.0
+        ruling = Ruling(tuple(outcomes), worst, limit, teaches=not alarmed and not taught, unlike=unlike_ratio)
         self._state = _State(tracks, errors, failed)
         self._last = look, ruling
         return ruling

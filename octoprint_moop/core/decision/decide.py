@@ -60,6 +60,7 @@ class Track:
     unseen: tuple[float, ...] = ()
     barren: tuple[float, ...] = ()
     dim: tuple[float, ...] = ()
+    unlike: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
     cusum: float = 0.0
     teaching_cusum: float = 0.0
@@ -202,6 +203,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
         rim=_with(track.rim, evidence.rim_px / total),
         unseen=_with(track.unseen, _still_unseen_px(evidence) / total),
         barren=_with(track.barren, evidence.barren_px / total),
+        unlike=_with(track.unlike, evidence.error_ratio),
         dim=_with(track.dim, evidence.dim_px / max(evidence.expected_px, 1)),
         seen=tuple(
             _with(past, seen_px / new_px) if new_px >= FRESH_LEAST_PX else past
