@@ -34,7 +34,9 @@ def moved(mask: np.ndarray, right: int, down: int) -> np.ndarray:
 class Stage:
     """A print in the making. `look` gives the findings of one frame, `good` also learns from it."""
 
-    def __init__(self, reference: bool = True, textured: bool = False) -> None:
+    def __init__(
+        self, reference: bool = True, textured: bool = False, plastic_bgr: tuple[int, int, int] = PLASTIC_BGR
+    ) -> None:
         birth = np.zeros(SHAPE, np.uint32)
         layer_of, owner = np.full(SHAPE, -1, np.int32), np.full(SHAPE, -1, np.int16)
         for layer in range(LAYERS - 1, -1, -1):
@@ -42,6 +44,7 @@ class Stage:
                 part = wall(number, layer, layer)
                 birth[part], layer_of[part], owner[part] = 2 * layer + number + 1, layer, number
         nearest = np.where(np.arange(SHAPE[1])[None, :] < 160, 0, 1).astype(np.int16) * np.ones(SHAPE, np.int16)
+        self._plastic_bgr = plastic_bgr
         self.map = PrintMap(layer_of, owner, nearest, 2)
         self._birth, self._rng = birth, np.random.default_rng(3)
         self.bed = np.full((*SHAPE, 3), BED_BGR, np.uint8)
@@ -57,7 +60,7 @@ class Stage:
         """matter : (H, W) bool, what really lies; observed : what segmentation makes of it, the truth unless given;
         bed_px : by how much the bed is displaced in the picture."""
         bed = np.roll(self.bed, (bed_px[1], bed_px[0]), axis=(0, 1))
-        frame = np.where(matter[..., None], PLASTIC_BGR, bed) * gain + self._rng.normal(0, 2.0, (*SHAPE, 3))
+        frame = np.where(matter[..., None], self._plastic_bgr, bed) * gain + self._rng.normal(0, 2.0, (*SHAPE, 3))
         seen = matter if observed is None else observed
         expected = Expected(self._birth, 2 * (layer + 1))
         return Sight(

@@ -117,6 +117,15 @@ def test_what_is_seen_no_more_has_gone_though_its_place_does_not_show_it_where_a
     assert found.scopes[2].lost_px == 0
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_matter_hardly_darker_than_the_bed_has_gone_where_all_its_pixels_together_show_the_bed(stands):
+    """Twelve grey levels of difference say nothing of one pixel; segmentation sees the wall no more in either case."""
+    stage = Stage(plastic_bgr=(48, 50, 46)).printed(12)
+    found = stage.look(13, walls(13) if stands else wall(1, 13), observed=wall(1, 13))
+    assert (found.scopes[1].lost_px, found.untold_px > 0) == (0 if stands else found.scopes[1].standing_px, stands)
+    assert found.scopes[2].lost_px == 0
+
+
 def test_dark_matter_that_shines_brighter_than_the_bed_at_one_layer_has_not_gone():
     """Solid lines shine or not as they lie to the lamp, in turn; segmentation has learned the dark ones."""
     stage = Stage()

@@ -275,4 +275,6 @@ def test_what_is_not_seen_of_older_layers_counts_as_far_as_newer_ones_bear_it_ou
 
 
 def test_too_few_new_pixels_bear_nothing_out():
-    assert size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=((0, 0), (0, 0), (39, 39), (1600, 1440))) == 2
+    assert (
+        size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=((0, 0), (0, 0), (39, 39), (1600, 1440))) == 2
+    )

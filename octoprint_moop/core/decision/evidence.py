@@ -285,7 +285,9 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     much = untold_px > UNTOLD_RATIO * np.count_nonzero(standing)
     if not much:
         untold_px = 0
-    elif np.count_nonzero(stray) > STRAY_RATIO * untold_px:  # it lies beside its place, so it has gone from there
+    elif np.count_nonzero(stray) > STRAY_RATIO * untold_px or (
+        memory.all_bare(window, look, gone, bed) and not memory.shines(window, look, gone, bed)
+    ):  # it lies beside its place, or all pixels of that together show the bed
         untold_px, lost = 0, lost | without_specks(gone)
     # what is no thicker than contours are known to be off is named, where that is asked, and not counted
     missed = cv2.morphologyEx(unseen.view(np.uint8), cv2.MORPH_OPEN, np.ones((off_px + 1,) * 2, np.uint8)) > 0

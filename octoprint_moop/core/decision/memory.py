@@ -19,6 +19,7 @@ NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so fa
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
+MOSTLY_GONE = 0.4
 SHINING = 6.0  # grey levels above the bed, of all channels
 SHADE_LEAST, SHADE_TINT = 0.25, 0.2
 UNCHANGED = 8  # the same within which a pixel looks as it did
@@ -104,6 +105,24 @@ class Memory:
         few = about(where)
         still = self._has_bare[window][few] & ~self._has_covered[window][few]
         return placed(where, few, still & (self._from_bare(window, look)[few] < UNCHANGED))
+
+    def all_bare(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> bool:
+        """Whether the pixels `where`, all together, look like the bare bed rather than like the matter that was seen there.
+
+        Of the difference that matter made to the look, by least squares, a lesser part is left than MOSTLY_GONE, and what
+        is left is not more than a bed may change by. What light has changed is taken from those `beside`.
+        """
+        known = self._has_bare[window]
+        where, beside = where & known & self._has_covered[window], beside & known
+        if not (where.any() and beside.any()):
+            return False
+        left = made = changed = 0.0
+        for now, bare, covered in zip(look, self.bare(window), self._covered):
+            light = float(now[beside].mean()) - float(bare[beside].mean())
+            change = now[where].astype(np.float32) - bare[where] - light
+            matter = covered[window][where].astype(np.float32) - bare[where]
+            left, made, changed = left + change @ matter, made + matter @ matter, changed + change @ change
+        return left < MOSTLY_GONE * made and changed < CHANGED**2 * len(look) * np.count_nonzero(where)
 
     def drift(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> float:
         """Grey levels by which the pixels `where` have changed since they were bare, on average, less what those `beside` have.
