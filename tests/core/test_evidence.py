@@ -126,6 +126,12 @@ def test_matter_hardly_darker_than_the_bed_has_gone_where_all_its_pixels_togethe
     assert found.scopes[2].lost_px == 0
 
 
+def test_before_a_few_layers_have_shown_what_matter_may_look_like_what_looks_like_the_bed_may_be_matter():
+    stage = Stage(plastic_bgr=(48, 50, 46)).printed(2)
+    found = stage.look(3, wall(1, 3), observed=wall(1, 3))
+    assert found.whole.lost_px == 0 and found.untold_px > 0
+
+
 def test_dark_matter_that_shines_brighter_than_the_bed_at_one_layer_has_not_gone():
     """Solid lines shine or not as they lie to the lamp, in turn; segmentation has learned the dark ones."""
     stage = Stage()

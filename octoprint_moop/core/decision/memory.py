@@ -110,9 +110,12 @@ class Memory:
         """Whether the pixels `where`, all together, look like the bare bed rather than like the matter that was seen there.
 
         Of the difference that matter made to the look, by least squares, a lesser part is left than MOSTLY_GONE, and what
-        is left is not more than a bed may change by. What light has changed is taken from those `beside`.
+        is left is not more than a bed may change by. What light has changed is taken from those `beside`. Never before
+        enough good checks have shown what matter may look like: dull at one layer, shining at the next.
         """
         known = self._has_bare[window]
+        if self._checks < SETTLING_CHECKS:
+            return False
         where, beside = where & known & self._has_covered[window], beside & known
         if not (where.any() and beside.any()):
             return False
