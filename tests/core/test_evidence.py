@@ -261,6 +261,16 @@ def test_what_hides_the_print_is_told_from_what_is_gone():
     assert stage.look(12, wall(1, 12)).hidden_px == 0
 
 
+def test_where_the_bed_is_seen_instead_a_patch_of_another_light_beside_it_hides_nothing():
+    stage = Stage().printed(12)
+    foot = np.zeros(SHAPE, bool)
+    foot[170:180, 90:112] = True
+    sight = stage.sight(13, walls(13) & ~foot)
+    sight.frame_bgr[160:180, 66:86] += 14
+    found = find(sight, stage.memory)
+    assert found.hidden_px == 0 and found.whole.lost_px > 100
+
+
 def strand(row: int, columns: slice) -> np.ndarray:
     mask = np.zeros(SHAPE, bool)
     mask[row : row + 4, columns] = True

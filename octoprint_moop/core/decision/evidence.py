@@ -39,6 +39,7 @@ RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far off stray matter may begin
 LOOSE_PX = 20.0  # at up to 640 pixels across: what comes so near to loose matter is more of it
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
+BARED_RATIO = 0.8
 UNTOLD_RATIO, STRAY_RATIO = 0.3, 0.15  # of what stood, and against what has gone
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
@@ -344,7 +345,11 @@ def _hidden_px(
         return 0
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)
-    if np.count_nonzero(changed) > min(HIDING_RATIO * np.count_nonzero(about), gone_px):
+    most_px = HIDING_RATIO * np.count_nonzero(about)
+    # where the very bed is seen instead, it takes a good part of what is around to say that something else is
+    if np.count_nonzero(memory.looks_bare(window, look, gone)) < BARED_RATIO * gone_px:
+        most_px = min(most_px, gone_px)
+    if np.count_nonzero(changed) > most_px:
         return int(gone_px)
     return int(np.count_nonzero(memory.looks_strange(window, look, gone)))
 
