@@ -13,7 +13,7 @@ import gzip
 import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO, Callable, NamedTuple, Union, cast
+from typing import BinaryIO, Callable, Union, cast
 
 import numpy as np
 
@@ -172,24 +172,21 @@ class _Reader:
     def _read_by_rows(self, chunk: bytes, length: int) -> None:
         run = _Chunk(chunk, length, self.position)
         self.position = self.machine.read_bytes = run.end(-1)
-        begin, waiting, machine = 0, _Waiting([], []), self.machine
-        own = machine.own_gcode
-        for i, remark in run.remarks():
-            if not (remark.breaks_own if own else remark.breaks):
-                waiting.lines.append(i)
-                waiting.remarks.append(remark)
-                continue
-            self._run(run, begin, i, waiting)
-            machine.run(run.text(i), run.end(i))
-            begin, waiting, own = i + 1, _Waiting([], []), machine.own_gcode
-        self._run(run, begin, run.count, waiting)
+        begin, heard, machine = 0, 0, self.machine
+        own, (lines, remarks) = machine.own_gcode, run.remarks()
+        for k, remark in enumerate(remarks):
+            if remark.breaks_own if own else remark.breaks:
+                self._run(run, begin, lines[k], lines[heard:k], remarks[heard:k])
+                machine.run(run.text(lines[k]), run.end(lines[k]))
+                begin, heard, own = lines[k] + 1, k + 1, machine.own_gcode
+        self._run(run, begin, run.count, lines[heard:], remarks[heard:])
 
-    def _run(self, run: _Chunk, begin: int, end: int, waiting: _Waiting) -> None:
-        """Execute lines [begin, end), of which those `waiting` are no rows but change no mode either."""
+    def _run(self, run: _Chunk, begin: int, end: int, lines: list[int], remarks: list[Remark]) -> None:
+        """Execute lines [begin, end), of which some `lines` are no rows but change no mode either: their `remarks`."""
         machine, first, last = self.machine, *run.rows(begin, end)
         width_lines, widths_mm = run.widths(begin, end)
         if last == first:
-            run.interpret(machine, sorted(waiting.lines + width_lines.tolist()))
+            run.interpret(machine, sorted(lines + width_lines.tolist()))
             return
         walk = None
         if last - first >= SHORT_RUN:
@@ -198,14 +195,14 @@ class _Reader:
             run.interpret(machine, range(begin, end))
             return
         self._keep_interpreted()
-        laid, tail_open, stops = machine.laid, machine.tail_open, []
+        laid, tail_open, stops, take = machine.laid, machine.tail_open, [], machine.said.take
         if len(width_lines):
             machine.said.width.extend(laid + walk.beads_upto[run.lines.rows_before[width_lines] - first], widths_mm)
-        rows = run.lines.rows_before[np.array(waiting.lines, np.int64)] - first
+        rows = run.lines.rows_before[np.array(lines, np.int64)] - first
         beads = laid + walk.beads_upto[rows]
-        for i, remark, row, bead in zip(waiting.lines, waiting.remarks, rows.tolist(), beads.tolist()):
-            if remark.meanings is not None:
-                machine.said.take(remark.meanings, bead)
+        for i, remark, row, bead in zip(lines, remarks, rows.tolist(), beads.tolist()):
+            if remark.meanings:
+                take(remark.meanings, bead)
                 continue
             if not remark.idle:
                 machine.laid, machine.tail_open = bead, True
@@ -222,13 +219,6 @@ class _Reader:
         self.end_pos.append(end_pos)
 
 
-class _Waiting(NamedTuple):
-    """Lines that are no rows but change no mode either: their numbers, and what they say."""
-
-    lines: list[int]
-    remarks: list[Remark]
-
-
 class _Chunk:
     """A chunk's lines with their file positions."""
 
@@ -243,11 +233,16 @@ class _Chunk:
         told, self._widths_mm = told_widths(chunk, self.lines, others)
         self._width_lines, self._others = others[told], others[~told]
 
-    def remarks(self) -> list[tuple[int, Remark]]:
+    def remarks(self) -> tuple[list[int], list[Remark]]:
         """The lines that are no rows, tell no width, and do something: their numbers, and what they do."""
         starts, ends = self.lines.start[self._others].tolist(), self.lines.end[self._others].tolist()
-        raws = [self._chunk[start:end] for start, end in zip(starts, ends)]
-        return [(i, found) for i, found in zip(self._others.tolist(), map(remark_of, raws)) if found is not None]
+        asked = map(remark_of, [self._chunk[start:end] for start, end in zip(starts, ends)])
+        lines, found = [], []
+        for i, remark in zip(self._others.tolist(), asked):
+            if remark is not None:
+                lines.append(i)
+                found.append(remark)
+        return lines, found
 
     def widths(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
         """Of lines [begin, end): those that tell a width, and it; (n,) int64, (n,) float64, mm."""

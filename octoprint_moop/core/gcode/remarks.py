@@ -25,13 +25,13 @@ class Remark(NamedTuple):
 
     breaks     : rows after it may be read otherwise than rows before it
     breaks_own : the same, where what is read is the user's own G-code, see `Interpreter.own_gcode`
-    meanings   : of a comment, else None
+    meanings   : of a comment, else ()
     idle       : a command that does nothing but end the tail of a retraction; any other is the interpreter's
     """
 
     breaks: bool
     breaks_own: bool
-    meanings: tuple[Meaning, ...] | None = None
+    meanings: tuple[Meaning, ...] = ()
     idle: bool = False
 
 
