@@ -21,13 +21,23 @@ FAULTS = ("none", "detachment", "extrusion_stop", "layer_shift", "spaghetti", "w
 @click.command()
 @click.option("--fault", type=click.Choice(FAULTS), default="detachment", show_default=True, help="What goes wrong.")
 @click.option(
-    "--fault-layer", type=int, help="In which layer (counted from 0, as in JSON); each kind has its own if left out."
+    "--fault-layer",
+    type=click.IntRange(min=0),
+    help="In which layer (counted from 0, as in JSON); each kind has its own if left out.",
 )
 @click.option("--once", is_flag=True, help="Exit when the print has ended or paused.")
 @click.option("--json", "as_json", is_flag=True, help="With --once: one JSON line on standard output.")
-@click.option("--port", default=0, help="Port of the server on loopback; a free one if left out.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Port of the server on loopback; a free one if left out."
+)
 @click.option("--keep", type=click.Path(path_type=Path), help="Folder for the server's files, kept afterwards.")
-@click.option("--seed", default=1, show_default=True, help="For another room, light and course of the fault.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="For another room, light and course of the fault.",
+)
 def demo(
     fault: str, fault_layer: int | None, once: bool, as_json: bool, port: int, keep: Path | None, seed: int
 ) -> None:

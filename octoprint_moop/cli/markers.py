@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..core.errors import CalibrationError
-from .calibrate import read_json, write_json
+from .calibrate import named, read_json, write_json
 
 if TYPE_CHECKING:
     from ..core.header import Printer
@@ -90,7 +90,8 @@ def _printer(
     from ..core.header import Printer
 
     if profile is not None:
-        printer = printer_from_profile(read_json(profile))
+        with named(profile):
+            printer = printer_from_profile(read_json(profile))
     elif bed_mm is not None:
         try:
             sides = [float(side) for side in bed_mm.lower().split("x")]

@@ -34,6 +34,9 @@ def said(*arguments: str) -> str:
         (["mask", "x", "-o", "x.png", "--file-pos", "-5"], "-5"),
         (["segment", "x.jpg", "-o", "out"], "--learn"),
         (["demo", "--fault", "nonsense"], "warping"),
+        (["demo", "--port", "99999999"], "65535"),
+        (["demo", "--seed", "-1"], "-1"),
+        (["demo", "--fault-layer", "-1"], "-1"),
         (["calibrate", "lens"], "IMAGES"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -53,6 +56,7 @@ def test_the_file_that_is_wrong_is_named(tmp_path):
     )
     assert lens in said("calibrate", "pose", "x.jpg", "--lens", lens, "--markers", rings)
     assert clicks in said("calibrate", "points", "x.jpg", clicks)
+    assert clicks in said("markers", "--profile", clicks)
 
 
 @pytest.mark.parametrize(
