@@ -158,6 +158,7 @@ class Inspector:
         self._hidden_checks: dict[str | None, int] = {}
         self._told_apart: set[str | None] = set()
         self._shown: Callable[[], Pictures] | None = None
+        self._lesson: Callable[[], None] | None = None
         self.look: Look | None = None
         """What the last frame showed, whatever the sensitivity; named where it was not ok at this one."""
 
@@ -190,6 +191,7 @@ class Inspector:
         self._begin_anew(pardon)
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
+        self.learn()
         for seen in self._seen.values():
             findings = seen.findings
             memory = seen.view.memory(seen.moment)
@@ -198,10 +200,12 @@ class Inspector:
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
+        self.learn()
         return self._view(moment).expected(moment)
 
     def camera(self, moment: Moment) -> Camera:
         """The camera of that moment as this print has shown it to stand: the header's, corrected where that was safe."""
+        self.learn()
         return self._view(moment).selfcheck.camera
 
     def check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
@@ -209,10 +213,19 @@ class Inspector:
 
         Raises RenderError where the expected mask cannot be drawn.
         """
+        self.learn()
         began_s = time.perf_counter()
         self._shown = None
         check = self._check(frame_bgr, moment)
         return replace(check, ms=(time.perf_counter() - began_s) * 1000, fit=self._view(moment).selfcheck.fit)
+
+    def learn(self) -> None:
+        """Take in what the last check has taught: no printer need wait for that. Whatever is asked next does it first, where
+        nobody has. Raises RenderError where drawing fails.
+        """
+        lesson, self._lesson = self._lesson, None
+        if lesson is not None:
+            lesson()
 
     def confirm(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
         """A second look at what the last check judged: another frame of the same print in the same hold.
@@ -300,7 +313,8 @@ class Inspector:
         look = Look(comparison, scopes=findings.scopes, little=little, turned=steady.turned)
         self.look, ruling = self._courses.rule(look, moment, name)
         assert ruling is not None
-        if ruling.teaches:
+
+        def lesson() -> None:
             self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)
             memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             if head is not None:
@@ -310,6 +324,8 @@ class Inspector:
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
                 view.learn(steady, moment, seen)
             view.check_calibration(moment, close.sharp(), sharp, sharp_observed, sharp_ignored)
+
+        self._lesson = lesson if ruling.teaches else None
         return Check.of(moment, self.look, ruling, self._toolpath.objects)
 
     def _blind(self, look: Look, moment: Moment) -> Check:

@@ -156,6 +156,12 @@ class Eye:
         road.toolpath.let_go()
         return check.to_json(), []
 
+    def learn(self) -> None:
+        """After the answer has gone out: what the printer did not have to wait for."""
+        if self._inspector is not None and self._road is not None:
+            self._inspector.learn()
+            self._road.toolpath.let_go()
+
     def still(self, blobs: list[bytes]) -> Answer:
         """Whether nothing has moved between two frames. blobs: both, JPEG."""
         return {"still": is_still(decode(blobs[0]), decode(blobs[1]))}, []
@@ -263,6 +269,16 @@ def _for_want_of_memory(error: BaseException | None) -> bool:
     return False
 
 
+def _afterwards(eye: Eye) -> None:
+    """What could not be learned costs the checks to come a little, and nobody waits for an answer."""
+    try:
+        eye.learn()
+    except Exception as error:
+        if _for_want_of_memory(error):
+            raise MemoryError(f"{type(error).__name__}: {error}") from None
+        traceback.print_exc()
+
+
 def main() -> int:
     questions = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
@@ -298,6 +314,7 @@ def main() -> int:
                 # a bug of ours: the server logs it, and the next question may go well
                 trace = traceback.format_exc()
                 send(answers, {"id": head["id"], "bug": f"{type(error).__name__}: {error}", "traceback": trace})
+            _afterwards(eye)
     except BrokenPipeError:
         return 0
     finally:

@@ -255,3 +255,30 @@ def test_a_camera_that_was_turned_away_says_so_at_every_layer_until_it_is_back(c
         away = number in (3, 4)
         verdicts.append(inspector.check(frame[::-1, ::-1] if away else frame, moment).verdict)
     assert verdicts == ["ok", "ok", "ok", "camera_moved", "camera_moved", "ok", "ok"]
+
+
+def test_a_verdict_waits_for_nothing_that_it_teaches(clogged, monkeypatch):
+    recording, learned = Recording.open(clogged), []
+    inspector = Inspector(recording.header, read_gcode(clogged / "job.gcode"), CvRenderer())
+    monkeypatch.setattr(Memory, "learn", lambda self, *seen: learned.append(self))
+    assert inspector.check(recording.frame(recording.moments[0]), recording.moments[0]).verdict == "ok"
+    assert not learned
+    inspector.learn()
+    inspector.learn()
+    assert len(learned) == 1
+
+
+def test_whoever_is_asked_next_has_learned_first_what_the_last_check_taught(clogged):
+    """Whether somebody had it learned in between, as the live print has, or nobody, as in a replay, is all one."""
+    recording, found = Recording.open(clogged), []
+    for at_once in (False, True):
+        inspector = Inspector(recording.header, read_gcode(clogged / "job.gcode"), CvRenderer())
+        found.append([])
+        for number, moment in enumerate(recording.moments[:9]):
+            found[-1].append(replace(inspector.check(recording.frame(moment), moment), ms=0))
+            if at_once:
+                inspector.learn()
+            if number == 4:
+                inspector.accept()
+                found[-1].append(replace(inspector.confirm(recording.frame(moment), moment), ms=0))
+    assert found[0] == found[1]
