@@ -191,3 +191,18 @@ def _about_the_file(text: str) -> tuple[Meaning, ...]:
         if found:
             return (Slicer(found.group(1).strip()),)
     return ()
+
+
+def outside_parentheses(code: str) -> str:
+    """Code without its comments in parentheses; one that is not closed stays."""
+    if "(" not in code:
+        return code
+    kept: list[str] = []
+    rest = code
+    while True:
+        before, opened, after = rest.partition("(")
+        _, closed, behind = after.partition(")")
+        if not (opened and closed):
+            return " ".join([*kept, rest])
+        kept.append(before)
+        rest = behind

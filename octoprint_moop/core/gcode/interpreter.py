@@ -15,6 +15,7 @@ from collections import Counter
 import numpy as np
 
 from .arcs import LEAST_MOVE_MM, MAX_CHORDS, bezier, centres_by_radius, chords
+from .dialects import outside_parentheses
 from .objects import ObjectCommands, named
 from .places import Places
 from .said import Said
@@ -83,7 +84,7 @@ class Interpreter:
         code, semicolon, comment = line.partition(";")
         if semicolon:
             self.comment(comment)
-        code = _outside_parentheses(code[:LONGEST_COMMAND])
+        code = outside_parentheses(code[:LONGEST_COMMAND])
         if not code.strip():
             return
         command = _COMMAND.match(code)
@@ -396,18 +397,3 @@ class Interpreter:
             if "MOVE=1" in code.upper():
                 self.position = list(position)
             self.tail_open = False
-
-
-def _outside_parentheses(code: str) -> str:
-    """Code without its comments in parentheses; one that is not closed stays."""
-    if "(" not in code:
-        return code
-    kept: list[str] = []
-    rest = code
-    while True:
-        before, opened, after = rest.partition("(")
-        _, closed, behind = after.partition(")")
-        if not (opened and closed):
-            return " ".join([*kept, rest])
-        kept.append(before)
-        rest = behind
