@@ -25,6 +25,7 @@ from .head import HeadModel
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
+from .view.clearance import in_place
 from .view.view import MOVED_PX, View, moved_sentence
 
 NEAR_PX = 16  # how far about all that is expected and seen edges are looked for, and a little more
@@ -250,10 +251,10 @@ class Inspector:
         head, doubtful, would_tell = expected.volume, None, expected.mask
         hidden = view.occluded(steady, _union(observed, expected.mask, expected.ignored, head))
         if head is not None:
-            # within the head's reach what shines like filament may be a nozzle: only matter in its place counts there
-            free = view.clearance.free(window, moment.position_mm)
-            doubtful = head & cv2.bitwise_not((observed | free) & expected.mask)
-            would_tell = expected.mask & cv2.bitwise_not(head & cv2.bitwise_not(free))
+            lies = in_place(observed, expected.mask, head)
+            matter, either = view.clearance.free(window, moment.position_mm, head)
+            doubtful = head & cv2.bitwise_not(lies | matter | (either & cv2.bitwise_not(expected.mask)))
+            would_tell = expected.mask & cv2.bitwise_not(doubtful)
         ignored = _union(seen.unsure, steady.outside, hidden, doubtful, expected.ignored)
         self._shown = lambda: Pictures(
             steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
@@ -316,9 +317,11 @@ class Inspector:
 
         def lesson() -> None:
             self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)
-            memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             if head is not None:
-                view.clearance.learn(window, moment.position_mm, observed & expected.mask & head)
+                near, bed = findings.window, np.zeros_like(head)
+                bed[near] = memory.shows_bed(near, findings.look, head[near] & ~observed[near])
+                view.clearance.learn(window, moment.position_mm, lies & head, bed)
+            memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:

@@ -20,7 +20,7 @@ from octoprint_moop.core.header import Header, Moment, Printer
 from octoprint_moop.core.inspection import HEAD_HIDES, Check, Inspector
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.demo.run import JOB, MATERIAL, demo_camera
-from octoprint_moop.demo.simulate import Scene
+from octoprint_moop.demo.simulate import ORANGE_BGR, Scene
 
 BEDS = {"y": BedMotion("y", (0, 200, 0)), "z": BedMotion("z"), "fixed": BedMotion("fixed")}
 
@@ -32,10 +32,21 @@ def toolpath(tmp_path_factory):
     return read_gcode(path)
 
 
-def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = (), tall: bool = False) -> list[Check]:
+def dark(layer: int) -> tuple[float, float, float]:
+    return (20.0, 30.0, 60.0 + 120 * (layer % 2))
+
+
+def like_filament(_layer: int) -> tuple[float, float, float]:
+    return ORANGE_BGR
+
+
+def checks(
+    toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = (), tall: bool = False, over=None
+) -> list[Check]:
     """The checks after each layer, with the nozzle over the last bead.
 
-    With `tall` they are made from twice as far, under a head that reaches above the picture.
+    tall : they are made from twice as far, under a head that reaches above the picture
+    over : by layer, the colour of a head that fills all the room that it may take up
     """
     camera = demo_camera().resized((480, 360))
     if tall:
@@ -48,25 +59,36 @@ def checks(toolpath, bed: BedMotion, layers: int, faults: tuple[Fault, ...] = ()
         file_pos = int(toolpath.layer_end_pos[layer])
         position = tuple(float(value) for value in toolpath.beads_mm[toolpath.laid_at(file_pos) - 1][3:6])
         frame = scene.frame(file_pos, position)
-        if tall:
+        if over:
             head = hidden_by(HeadModel.common(250), position, bed, camera)
-            head[head.shape[0] // 3 :] = 0
-            frame = np.where(head[..., None] > 0, np.array((20, 30, 60 + 120 * (layer % 2)), np.uint8), frame)
+            head[head.shape[0] // 3 if tall else head.shape[0] :] = 0
+            frame = np.where(head[..., None] > 0, np.array(over(layer), np.uint8), frame)
         found.append(inspector.check(frame, Moment(str(layer), file_pos, layer, position, parked=False)))
     return found
 
 
 @pytest.mark.parametrize("kind", BEDS)
-def test_a_good_print_is_judged_and_left_alone_once_it_was_seen_past_the_head(toolpath, kind):
-    """Until then nearly all of it lies where a head may be: what is seen of it is there, but its absence would not tell."""
+def test_a_good_print_that_is_seen_past_the_head_is_judged_and_left_alone(toolpath, kind):
     found = checks(toolpath, BEDS[kind], 12)
-    assert [check.reason for check in found[:2]] == [HEAD_HIDES] * 2
-    assert {check.reason for check in found} == {HEAD_HIDES, ""}
-    assert [check.verdict for check in found[3:]].count("ok") > 6
+    assert {check.reason for check in found} <= {HEAD_HIDES, ""}
+    assert [check.verdict for check in found[:8]] == ["ok"] * 8
 
 
 def test_a_head_that_reaches_far_above_the_print_is_nobodys_hand(toolpath):
-    assert {check.reason for check in checks(toolpath, BEDS["fixed"], 6, tall=True)} == {HEAD_HIDES, ""}
+    found = checks(toolpath, BEDS["fixed"], 6, tall=True, over=dark)
+    assert {check.reason for check in found} <= {HEAD_HIDES, ""}
+
+
+def test_a_head_of_the_filaments_colour_is_no_matter_in_its_place(toolpath):
+    found = checks(toolpath, BEDS["fixed"], 3, over=like_filament)
+    assert {check.verdict for check in found} == {"unusable"}
+
+
+@pytest.mark.parametrize("kind", BEDS)
+def test_strands_beside_the_print_are_seen_past_the_head(toolpath, kind):
+    found = checks(toolpath, BEDS[kind], 13, (Fault("spaghetti", layer=9),))
+    assert {check.verdict for check in found[:9]} == {"ok"}
+    assert "failed" in [check.verdict for check in found[9:]]
 
 
 def test_a_print_that_comes_off_is_seen_past_the_head(toolpath):

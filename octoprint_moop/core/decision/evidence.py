@@ -150,7 +150,9 @@ def find(sight: Sight, memory: Memory) -> Findings:
     few pixels explains at the first layers is no failure of the print.
     """
     window, around = close_to(sight), sight.expected.surroundings
-    memory.settle(window, sight.expected.mask[window] > 0, sight.observed, sight.ignored)
+    # contours that a head hides find no edge; all that lies in its reach must not be left out for that
+    ignored = sight.ignored if sight.expected.volume is None else sight.ignored & cv2.bitwise_not(sight.expected.volume)
+    memory.settle(window, sight.expected.mask[window] > 0, sight.observed, ignored)
     findings = _weigh(sight, memory, around if memory.wants_surroundings else window)
     if _out_of_place_px(findings) < MOVED_LEAST_PX:
         return findings

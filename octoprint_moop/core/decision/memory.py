@@ -23,6 +23,7 @@ MOSTLY_GONE = 0.4
 SHINING = 6.0  # grey levels above the bed, of all channels
 SHADE_LEAST, SHADE_TINT = 0.25, 0.2
 UNCHANGED = 8  # the same within which a pixel looks as it did
+BED_SIDE_PX = 7  # by so many pixels together, since noise alone changes one
 BED_LEAST_PX, BED_CLEARLY = 60, 0.8
 LOOSE_LEFT = 0.25  # of loose matter; where less is seen, somebody has taken it away
 CHANGED = 18  # grey levels in any channel by which a pixel looks unlike another time
@@ -126,6 +127,17 @@ class Memory:
             matter = covered[window][where].astype(np.float32) - bare[where]
             left, made, changed = left + change @ matter, made + matter @ matter, changed + change @ change
         return left < MOSTLY_GONE * made and changed < CHANGED**2 * len(look) * np.count_nonzero(where)
+
+    def shows_bed(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """uint8, 0 or 255: of the pixels `where`, 0 or 255, those about which the picture shows the bare bed."""
+        if not where.any():
+            return where
+        few, side = about(where), (BED_SIDE_PX, BED_SIDE_PX)
+        now, then = (np.stack([cv2.blur(plane[few], side) for plane in kept]) for kept in (look, self.bare(window)))
+        apart = _most_apart(now, then)
+        shows = np.zeros_like(where)
+        shows[few][(apart < UNCHANGED) & self._has_bare[window][few]] = 255
+        return shows & where
 
     def drift(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> float:
         """Grey levels by which the pixels `where` have changed since they were bare, on average, less what those `beside` have.
