@@ -44,6 +44,7 @@ class MoopSetupApi(BlueprintPlugin):
     _moop_settings: Settings
     _lens_pictures: dict[int, bytes]
     _lens_found: dict[int, dict[str, Any]]
+    _lens_webcam: str
     _lens_last: bytes
     _marked_model: bytes
     _pose_picture: bytes
@@ -167,6 +168,7 @@ class MoopSetupApi(BlueprintPlugin):
         found, _ = self._bench_eye.ask("find_board", jpeg, timeout_s=QUICK_S, **_board(wanted))
         picture_id = None
         with self._bench_lock:
+            self._forget_other_webcams()
             seen = found["corners_px"] is not None and wanted.get("keep") is not False
             if seen and len(self._lens_pictures) < MOST_LENS_PICTURES:
                 picture_id = max(self._lens_pictures, default=-1) + 1
@@ -179,6 +181,7 @@ class MoopSetupApi(BlueprintPlugin):
     def get_lens_pictures(self) -> Any:
         """Those that are kept, with the corners that were seen in them, and the size of the newest."""
         with self._bench_lock:
+            self._forget_other_webcams()
             found = dict(self._lens_found)
         pictures = [{"id": picture_id, "corners_px": each["corners_px"]} for picture_id, each in found.items()]
         size_px = next((each["image_size_px"] for each in reversed(list(found.values()))), None)
@@ -209,6 +212,7 @@ class MoopSetupApi(BlueprintPlugin):
     def post_lens(self) -> Any:
         """The lens from the pictures kept, as `moop calibrate lens --json`; kept for this webcam."""
         with self._bench_lock:
+            self._forget_other_webcams()
             pictures = dict(self._lens_pictures)
         names = [str(picture_id) for picture_id in pictures]
         lens, _ = self._bench_eye.ask("lens", *pictures.values(), timeout_s=LONG_S, names=names, **_board(body()))
@@ -220,6 +224,14 @@ class MoopSetupApi(BlueprintPlugin):
     def get_lens(self) -> Any:
         """The lens found last for this webcam."""
         return flask.jsonify(lens=self._known_lens())
+
+    def _forget_other_webcams(self) -> None:
+        """Pictures of the checkerboard are those of one lens. Under the bench's lock."""
+        _, webcam = self._setup_key()
+        if webcam != self._lens_webcam:
+            self._lens_webcam = webcam
+            self._lens_pictures.clear()
+            self._lens_found.clear()
 
     # --- the camera's place ---------------------------------------------------------------------------------------
 

@@ -58,6 +58,7 @@ class MoopPlugin(
         self._homing = Homing()
         self._lens_pictures: dict[int, bytes] = {}
         self._lens_found: dict[int, dict[str, Any]] = {}
+        self._lens_webcam = ""
         self._lens_last = self._marked_model = b""
         self._pose_picture, self._pose_position_mm = b"", None
         self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -110,3 +111,23 @@ def test_thumbnails_go_with_their_recordings(plugin, tmp_path, monkeypatch):
         )
         plugin.get_thumbnail.__wrapped__(plugin, folder.name)
     assert [path.name for path in kept.iterdir()] == [f"{folder.name}.000001.jpg"]
+
+
+def test_pictures_of_the_checkerboard_are_those_of_one_webcam(plugin, monkeypatch):
+    """A lens from pictures of two cameras would be neither's."""
+    flask = pytest.importorskip("flask")
+    chosen, asked = ["front"], []
+    plugin._lens_pictures, plugin._lens_found, plugin._lens_webcam = {}, {}, ""
+    plugin._bench_lock, plugin._found = threading.Lock(), Told()
+    found = {"corners_px": [[1, 1]], "image_size_px": [64, 48]}
+    plugin._bench_eye = SimpleNamespace(ask=lambda do, *blobs, **_: (asked.append((do, blobs)), (dict(found), []))[1])
+    monkeypatch.setattr(plugin, "_setup_key", lambda: ("_default", chosen[0]))
+    monkeypatch.setattr(plugin, "_grab", lambda: chosen[0].encode())
+    board = {"board": "9x6", "square_mm": 15}
+    with flask.Flask("test").test_request_context(json=board, method="POST"):
+        plugin.post_lens_picture.__wrapped__(plugin)
+        chosen[0] = "side"
+        assert plugin.get_lens_pictures.__wrapped__(plugin).get_json()["pictures"] == []
+        assert plugin.post_lens_picture.__wrapped__(plugin).get_json()["kept"] == 1
+        plugin.post_lens.__wrapped__(plugin)
+    assert asked[-1] == ("lens", (b"side",))
