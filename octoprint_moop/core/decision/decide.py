@@ -133,7 +133,7 @@ def _still_unseen_px(evidence: Evidence) -> float:
 
 def _above(past: tuple[float, ...], value: float) -> float:
     """By how much a figure that is never nothing lies above all that is usual; 0 until enough checks have told."""
-    if len(past) < FRESH_CHECKS:
+    if len(past) < FRESH_CHECKS or value <= _usual(past):
         return 0.0
     return max(value - _usual(past) - 4 * _spread(past), 0.0)
 
@@ -145,6 +145,8 @@ def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
         if new_px < FRESH_LEAST_PX or len(past) < FRESH_CHECKS:
             continue
         usual = _usual(past)
+        if seen_px / new_px >= usual:
+            continue
         limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * _spread(past)) * min(wide, 1.3)
         # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
         limit += 0.25 / (new_px / 10) ** 0.5
