@@ -271,7 +271,9 @@ def test_what_is_not_seen_of_older_layers_counts_as_far_as_newer_ones_bear_it_ou
     good = track_of(unseen=0.0, lost=0.0)
     fresh = ((0, 0), (0, 0), (400, newer_seen_px), (1600, 1440))
     assert size("all", good, unseen_px=160, fresh=fresh) == pytest.approx(surprise)
-    assert learn(good, replace(PLAIN, unseen_px=160, fresh=fresh)).unseen[-1] * 20_000 == pytest.approx(80 * surprise)
+    assert size("fresh", track_of(barren=0.0), barren_px=160, fresh=fresh) == pytest.approx(surprise)
+    learned = learn(good, replace(PLAIN, unseen_px=160, barren_px=160, fresh=fresh))
+    assert learned.unseen[-1] * 20_000 == learned.barren[-1] * 20_000 == pytest.approx(80 * surprise)
 
 
 def test_too_few_new_pixels_bear_nothing_out():

@@ -101,7 +101,7 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     # a pixel's width of light along the edges comes and goes; a shift shows along a good part of them
     faint = _above(track.rim, evidence.rim_px / total) / max(limit, wide * RIM_LIMIT * evidence.edge_px / total)
     if not track.quiet:
-        faint += _above(track.unseen, _still_unseen_px(evidence) / total) / limit
+        faint += _above(track.unseen, _borne_out(evidence) * evidence.unseen_px / total) / limit
     found = [
         Surprise("lost", lost),
         Surprise("stray", stray),
@@ -117,18 +117,18 @@ def _barren(track: Track, evidence: Evidence, limit: float) -> float:
     usual = _usual(track.barren)
     if len(track.barren) < FRESH_CHECKS:
         usual = max(usual, BARREN_PRIOR * evidence.deep_px / total)
-    return (evidence.barren_px / total - usual) / limit
+    return (_borne_out(evidence) * evidence.barren_px / total - usual) / limit
 
 
-def _still_unseen_px(evidence: Evidence) -> float:
-    """Unseen matter, as far as the newer half of the last layers bears it out: where they are seen, matter comes, and what
-    is not seen of those before is in the shade of it, or shines like the bed.
+def _borne_out(evidence: Evidence) -> float:
+    """How far the newer half of the last layers bears out that matter is missing, 0 to 1: where they are seen, matter comes,
+    and what is not seen of those before is in the shade of it, or shines like the bed.
     """
     (newer_px, newer_seen_px), (all_px, seen_px) = evidence.fresh[-2:]
     if newer_px < FRESH_LEAST_PX or seen_px >= all_px:
-        return evidence.unseen_px
+        return 1.0
     newer_share, share = 1 - newer_seen_px / newer_px, 1 - seen_px / all_px
-    return evidence.unseen_px * min(1.0, BORNE_OUT * newer_share / share)
+    return min(1.0, BORNE_OUT * newer_share / share)
 
 
 def _above(past: tuple[float, ...], value: float) -> float:
@@ -203,8 +203,8 @@ def learn(track: Track, evidence: Evidence) -> Track:
         lost=_with(track.lost, evidence.lost_px / total),
         stray=_with(track.stray, evidence.stray_px / total),
         rim=_with(track.rim, evidence.rim_px / total),
-        unseen=_with(track.unseen, _still_unseen_px(evidence) / total),
-        barren=_with(track.barren, evidence.barren_px / total),
+        unseen=_with(track.unseen, _borne_out(evidence) * evidence.unseen_px / total),
+        barren=_with(track.barren, _borne_out(evidence) * evidence.barren_px / total),
         unlike=_with(track.unlike, evidence.error_ratio),
         dim=_with(track.dim, evidence.dim_px / max(evidence.expected_px, 1)),
         seen=tuple(
