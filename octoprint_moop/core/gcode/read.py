@@ -155,7 +155,7 @@ class _Reader:
     def read(self, chunk: bytes, length: int) -> None:
         if b"\r" in chunk and b"\r\n" not in chunk:
             chunk = chunk.replace(b"\r", b"\n")
-        if self.machine.extruder != "E" or chunk.count(b"\r") != chunk.count(b"\r\n"):
+        if chunk.count(b"\r") != chunk.count(b"\r\n"):
             self._read_by_line(chunk, length)
         else:
             self._read_by_rows(chunk, length)
@@ -170,7 +170,7 @@ class _Reader:
             self.machine.run(raw.decode("utf-8", "replace"), self.position)
 
     def _read_by_rows(self, chunk: bytes, length: int) -> None:
-        run = _Chunk(chunk, length, self.position)
+        run = _Chunk(chunk, length, self.position, self.machine.extruder)
         self.position = self.machine.read_bytes = run.end(-1)
         begin, heard, machine = 0, 0, self.machine
         own, (lines, remarks) = machine.own_gcode, run.remarks()
@@ -222,9 +222,10 @@ class _Reader:
 class _Chunk:
     """A chunk's lines with their file positions."""
 
-    def __init__(self, chunk: bytes, length: int, position: int) -> None:
+    def __init__(self, chunk: bytes, length: int, position: int, extruder: str) -> None:
         """length : how many bytes of the chunk the file has. position : where it begins, as OctoPrint counts"""
-        self._chunk, self.lines = chunk, split(chunk)
+        self._chunk = chunk
+        self.lines = split(chunk if extruder == "E" else chunk.upper().replace(extruder.encode(), b"E"))
         self.count = len(self.lines.end)
         self._ends = position + np.minimum(self.lines.end + 1, length) + _drift(chunk, self.lines)
         row = self.lines.kind != OTHER
