@@ -42,7 +42,7 @@ def plain_read(data: bytes, relative_e: bool = False) -> dict:
             elif state and macro_name(code) in states:
                 moves_relative, relative_e, e, saved, was_at = states[macro_name(code)]
                 shift, at, tail_open = list(saved), list(was_at) if "MOVE=1" in code else at, False
-            tail_open = tail_open and (code.startswith(("@", "EXCLUDE_OBJECT")) or bool(state))
+            tail_open = tail_open and (code.startswith(("@", "EXCLUDE_OBJECT", "SET_VELOCITY_LIMIT ")) or bool(state))
             shift = kept or shift
             continue
         name = head.group(1) + head.group(2)

@@ -145,7 +145,9 @@ def test_moves_are_rows_however_a_file_writes_them(style):
 
 BETWEEN_MOVES = st.sampled_from(
     [
-        "M106 S255", "M204 S1000", "M73 P1", "M105", "M600", "M117 X1 Y2 E3", "M204 S1 ; printing object b", "", ";nothing",
+        "M106 S255", "M204 S1000", "M73 P1", "M105", "M600", "M117 X1 Y2 E3", "M204 S1 ; printing object b",
+        "SET_VELOCITY_LIMIT ACCEL=500", "SET_VELOCITY_LIMIT A=5 ; printing object b", "BED_MESH_CLEAR", "MY_MACRO E=5",
+         "", ";nothing",
         ";TYPE:Perimeter", ";TYPE:Custom", ";TYPE:Skirt/Brim", ";WIDTH:0.45", ";WIDTH:0.6\r", "; LINE_WIDTH: 0.42",
         ";WIDTH:.5 ", "; WIDTH:0.4", ";WIDTH:nan", ";HEIGHT:0.15", ";LAYER_CHANGE", "; layer 3, Z = 0.4", ";MESH:a",
         "; printing object a", "; stop printing object a", "@Object a", "M486 S1", "M486 S-1", "EXCLUDE_OBJECT_START NAME=a",
@@ -178,7 +180,16 @@ def test_what_is_said_between_moves_is_heard_in_a_long_run_as_line_by_line(lines
 
 @pytest.mark.parametrize(
     ("between", "follows"),
-    [("M204 S500", True), ("M106 S0", True), (";WIPE_START", True), ("", True), ("M600", False), ("M105", False)],
+    [
+        ("M204 S500", True),
+        ("SET_VELOCITY_LIMIT ACCEL=500", True),
+        ("PARK", False),
+        ("M106 S0", True),
+        (";WIPE_START", True),
+        ("", True),
+        ("M600", False),
+        ("M105", False),
+    ],
 )
 def test_a_long_runs_retraction_belongs_to_its_layer_unless_something_stands_between(between, follows):
     moves = ";LAYER_CHANGE\n" + "".join(f"G1 X{k} Y{k % 3} E1\n" for k in range(1, 41))

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..toolpath import Toolpath
 
-VERSION = 2  # raised when the same file would now be read differently
+VERSION = 3  # raised when the same file would now be read differently
 KEPT_ENTRIES = 8
 _BLOCK_BYTES = 1 << 20
 _ENTRY = "entry.json"

@@ -15,6 +15,7 @@ from collections import Counter
 import numpy as np
 
 from .arcs import LEAST_MOVE_MM, MAX_CHORDS, bezier, centres_by_radius, chords
+from .commands import KEEPS_TAIL_G, NO_PATH_G, NO_PATH_WORDS, QUIET_M, QUIET_WORDS
 from .dialects import outside_parentheses
 from .objects import ObjectCommands, named
 from .places import Places
@@ -30,13 +31,6 @@ _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 _COMMAND = re.compile(r"\s*(?:N\s*\d+\s*)?([GMT])\s*(\d{1,6})(?:\.(\d+))?", re.IGNORECASE)
 _MACRO = re.compile(r"\s*(?:N\s*\d+\s*)?([A-Za-z_]\w*)\s*(.*)")
 
-# Commands that neither move nor extrude nor wait: a layer's retraction may have them in its midst.
-QUIET = frozenset((73, 106, 107, 117, 118, 204, 205, 220, 221, 400, 486, 572, 593, 624, 625, 900))
-# Commands that move without a word about where, or not at all: homing's kin, probing, cleaning, parking, planes. What
-# extrudes next says where it begins.
-_NO_PATH = frozenset((4, 11, 12, 17, 21, 26, 27, 29, 30, 31, 32, 33, 34, 60, 61, 80))
-_KEEPS_TAIL = frozenset((17,))
-MEANT_M = frozenset((82, 83, 200, 221, 486))  # what `run` does something with
 # What arcs may come to: a file of nothing else must not fill the memory. Beads in all, and for each byte of the file.
 SPARE_BEADS, BEADS_PER_BYTE, FEWEST_CHORDS = 200_000, 0.5, 4
 
@@ -133,7 +127,7 @@ class Interpreter:
             self.places.reset()
         elif name in ("G59.1", "G59.2", "G59.3"):
             self.places.select(int(name[-1]) + 6)
-        elif name.startswith("G") and number not in _NO_PATH:
+        elif name.startswith("G") and number not in NO_PATH_G:
             self.unknown[name] += 1
 
     # -- motion ------------------------------------------------------------------------------------------------------
@@ -180,8 +174,8 @@ class Interpreter:
             elif not {"P", "L", "R", "X", "Y", "Z"} & words.keys():
                 self._retracted(end_pos)
         else:
-            self.tail_open = self.tail_open and number in _KEEPS_TAIL
-            if number not in _NO_PATH:
+            self.tail_open = self.tail_open and number in KEEPS_TAIL_G
+            if number not in NO_PATH_G:
                 self.unknown[f"G{number}"] += 1
 
     def _in_machine_coordinates(self, rest: str, end_pos: int) -> None:
@@ -362,7 +356,7 @@ class Interpreter:
                 self.flow = percent / 100.0
         elif number == 486:
             self.objects.m486(rest, self.laid, end_pos)
-        if number not in QUIET:
+        if number not in QUIET_M:
             self.tail_open = False
 
     def _volumetric(self, words: dict[str, float | None]) -> None:
@@ -382,9 +376,10 @@ class Interpreter:
         word = found.group(1).upper() if found else text[:1]
         if word in ("SAVE_GCODE_STATE", "RESTORE_GCODE_STATE"):
             self._gcode_state(word, code)
-        elif not self.objects.macro(word, code, self.laid, end_pos):
+        elif not (word in QUIET_WORDS or self.objects.macro(word, code, self.laid, end_pos)):
             self.tail_open = False
-            self.unknown[word] += 1
+            if word not in NO_PATH_WORDS:
+                self.unknown[word] += 1
 
     def _gcode_state(self, word: str, code: str) -> None:
         """Klipper's SAVE_GCODE_STATE and RESTORE_GCODE_STATE: modes, offsets and the file's E, by name."""

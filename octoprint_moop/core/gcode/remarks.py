@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .commands import MEANT_M, QUIET_M, QUIET_WORDS
 from .dialects import Feature, Layer, Meaning, Width, meaning
-from .interpreter import MEANT_M, QUIET
 from .rows import Lines
 
 MOST_WIDTH_MM = 100.0
@@ -17,6 +17,7 @@ _SEMICOLON = ord(";")
 _WIDTHS = (b";WIDTH:", b"; LINE_WIDTH: ")
 # Lines that cannot change how moves are read: object labels, macros, and M codes other than these.
 _STATELESS = re.compile(rb"@|[A-FH-LO-QU-Z]|[RS](?!ESTORE_GCODE|AVE_GCODE)|M(?!\s*0*(?:82|83|200|221)(?!\d))\s*\d")
+_PLAIN_WORD = re.compile(rb"([A-Z_]+)(?:[ \t][^;]*)?$")
 _PLAIN_M = re.compile(rb"M0{0,4}(\d{1,4})(?![\d.])[^;]*$")
 
 
@@ -43,11 +44,14 @@ def remark_of(raw: bytes) -> Remark | None:
         return _of_comment(meanings) if meanings else None
     if not _STATELESS.match(raw):
         return Remark(True, True)
+    found = _PLAIN_WORD.match(raw)
+    if found and found.group(1).decode("ascii") in QUIET_WORDS:
+        return None
     found = _PLAIN_M.match(raw)
     number = int(found.group(1)) if found else None
     if number is None or number in MEANT_M:
         return Remark(False, False)
-    return None if number in QUIET else Remark(False, False, idle=True)
+    return None if number in QUIET_M else Remark(False, False, idle=True)
 
 
 def _of_comment(meanings: tuple[Meaning, ...]) -> Remark:
