@@ -260,4 +260,8 @@ def test_the_set_up_tells_why_the_webcam_gives_no_picture(page: Any) -> None:
     page.route("**/plugin/moop/frame*", lambda route: route.fulfill(status=400, json={"code": "frame", "message": why}))
     show_tab(page)
     open_setup(page, "camera")
-    page.wait_for_selector(f'[data-test-id=moop-setup-trouble]:has-text("{why}")')
+    page.wait_for_load_state("networkidle")  # nothing that comes later may wipe it away
+    assert page.inner_text("[data-test-id=moop-setup-trouble]") == why
+    open_setup(page, "camera")  # again, where one is already
+    page.wait_for_load_state("networkidle")
+    assert page.inner_text("[data-test-id=moop-setup-trouble]") == why

@@ -135,6 +135,9 @@ $(function () {
         self.go = function (name) {
             self.trouble("");
             self.saved("");
+            if (self.step() === name) {
+                self.opened(); // which looks again, and says again what was in the way
+            }
             self.step(name);
         };
         self.next = function () { self.go(STEPS[Math.min(STEPS.length - 1, STEPS.indexOf(self.step()) + 1)]); };

@@ -26,6 +26,8 @@
         });
         self.mayRevert = ko.pureComputed(function () { return self.calibrations().length > 1 && !setup.busy(); });
 
+        self.isWell = function () { setup.trouble(""); };
+        // Loading tells nothing of what somebody just did: a trouble that is shown stays.
         self.load = function () { return self.take(OctoPrint.plugins.moop.calibrations()); };
         self.use = function (row) {
             self.change(OctoPrint.plugins.moop.useCalibration(row.id), words.say("%(was)s is used from now on.", row));
@@ -35,13 +37,13 @@
         };
         self.rename = function (row) {
             if (row.name().trim() !== row.was) {
-                self.take(OctoPrint.plugins.moop.renameCalibration(row.id, row.name()));
+                self.take(OctoPrint.plugins.moop.renameCalibration(row.id, row.name())).done(self.isWell);
             }
         };
         self.remove = function (row) {
             setup.confirm(
                 words.say("Delete this calibration?"), words.say("%(was)s is deleted for good.", row), words.say("Delete it"),
-                function () { self.take(OctoPrint.plugins.moop.deleteCalibration(row.id)); }
+                function () { self.take(OctoPrint.plugins.moop.deleteCalibration(row.id)).done(self.isWell); }
             );
         };
         /* A file that was exported here or elsewhere. */
@@ -74,7 +76,6 @@
         const self = this;
         return request
             .done(function (answer) {
-                self.setup.trouble("");
                 self.current(answer.current);
                 self.calibrations(answer.calibrations);
             })
@@ -84,6 +85,7 @@
     SetupKept.prototype.change = function (request, told) {
         const setup = this.setup;
         this.take(request).done(function () {
+            setup.trouble("");
             setup.saved(told);
             setup.load().done(function () { setup.place.showGuides(); });
         });
