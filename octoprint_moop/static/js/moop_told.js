@@ -31,6 +31,7 @@
         // core/inspection.py and core/view
         N_("Filament and bed look alike here: more light, or a bed of another colour, would help."),
         N_("Something stands in the view: a hand, or a tool?"),
+        N_("The print is seen badly: so much of the picture is not as expected, good as it may be, that little could be told from it. Calibrate the camera anew, see that the lamp lights the print, or clear away what has the filament's colour."),
         N_("The filament's colour is not set. Click on it in the set-up."),
         N_("The print head hides the print. Let it park for the picture."),
         N_("Nothing in the picture is where it was: the camera was moved far, or something stands before it. The view is looked for again; if this stays, calibrate the camera anew."),
