@@ -161,7 +161,7 @@ def test_matter_in_shade_that_looks_as_the_bed_did_has_not_gone_while_the_bed_li
 
 
 @pytest.mark.parametrize(("spread_px", "counted"), [(0.3, True), (1.2, False)])
-def test_a_line_no_thicker_than_contours_are_known_to_be_off_is_no_missing_matter(spread_px, counted):
+def test_a_line_of_single_pixels_at_contours_that_are_known_to_be_off_is_no_missing_matter(spread_px, counted):
     """How a failure is named may still depend on such a line."""
     stage = Stage().printed(20)
     stage.memory.spread_px = spread_px

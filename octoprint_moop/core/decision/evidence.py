@@ -292,8 +292,10 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         memory.all_bare(window, look, gone, bed) and not memory.shines(window, look, gone, bed)
     ):  # it lies beside its place, or all pixels of that together show the bed
         untold_px, lost = 0, lost | without_specks(gone)
-    # what is no thicker than contours are known to be off is named, where that is asked, and not counted
-    missed = cv2.morphologyEx(unseen.view(np.uint8), cv2.MORPH_OPEN, np.ones((off_px + 1,) * 2, np.uint8)) > 0
+    # lines of single pixels that such contours leave are named, where that is asked, and not counted
+    missed = unseen
+    if off_px:
+        missed = cv2.morphologyEx(unseen.view(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
     scopes = _count(
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, missed, deep, barren, inside
     )
