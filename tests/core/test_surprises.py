@@ -276,6 +276,11 @@ def test_what_is_not_seen_of_older_layers_counts_as_far_as_newer_ones_bear_it_ou
     assert learned.unseen[-1] * 20_000 == learned.barren[-1] * 20_000 == pytest.approx(80 * surprise)
 
 
+def test_more_than_some_spots_needs_nothing_to_bear_it_out():
+    fresh = ((0, 0), (0, 0), (400, 400), (1600, 1200))
+    assert size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=fresh) == 2
+
+
 def test_too_few_new_pixels_bear_nothing_out():
     assert (
         size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=((0, 0), (0, 0), (39, 39), (1600, 1440))) == 2

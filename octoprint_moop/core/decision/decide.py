@@ -30,6 +30,7 @@ RIM_LIMIT = 0.1  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
 BORNE_OUT = 4.0  # times what newer layers show of it: where they show a quarter as much by area, all of it counts
+FEW_SPOTS = 0.2  # of what eight layers cover: more than that is no spots, whatever is seen of the newest
 FRESH_CHECKS = 4  # so many good checks before shares are compared; until then only barren matter counts
 BARREN_PRIOR = 0.3  # share of barren matter that is let pass until then
 CUSUM_ALONE = 5.0  # so much weak evidence needs no strong one
@@ -122,10 +123,10 @@ def _barren(track: Track, evidence: Evidence, limit: float) -> float:
 
 def _borne_out(evidence: Evidence) -> float:
     """How far the newer half of the last layers bears out that matter is missing, 0 to 1: where they are seen, matter comes,
-    and what is not seen of those before is in the shade of it, or shines like the bed.
+    and a few spots that are not seen of those before are in the shade of it, or shine like the bed.
     """
     (newer_px, newer_seen_px), (all_px, seen_px) = evidence.fresh[-2:]
-    if newer_px < FRESH_LEAST_PX or seen_px >= all_px:
+    if newer_px < FRESH_LEAST_PX or seen_px >= all_px or seen_px < (1 - FEW_SPOTS) * all_px:
         return 1.0
     newer_share, share = 1 - newer_seen_px / newer_px, 1 - seen_px / all_px
     return min(1.0, BORNE_OUT * newer_share / share)
