@@ -27,7 +27,8 @@ from octoprint_moop.core.calibration.chessboard import Board
 from octoprint_moop.core.calibration.markers import MarkerPlate
 from octoprint_moop.core.calibration.pose import calibrate_pose_any_colour
 from octoprint_moop.core.camera import Camera
-from octoprint_moop.core.inspection import Inspector, Summary
+from octoprint_moop.core.checks import Summary
+from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.core.settings import SEGMENTATIONS, Settings
 from octoprint_moop.machine.recording import Recording, read_frame
 from octoprint_moop.machine.renderers import open_renderer

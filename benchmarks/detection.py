@@ -35,9 +35,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.composited import FAULTS, FIRST_LAYER_FAULTS, NUISANCES, Base, Story
 from benchmarks.painted import PaintedStory
 from octoprint_moop.core.camera import Camera
+from octoprint_moop.core.checks import Check
 from octoprint_moop.core.decision.course import Courses
 from octoprint_moop.core.decision.decide import CAMERA_MOVED, FAILED, SUSPECT, UNUSABLE
-from octoprint_moop.core.inspection import Check, Inspector
+from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.core.toolpath import Toolpath
 from octoprint_moop.machine.renderers import open_renderer
 

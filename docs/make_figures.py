@@ -24,8 +24,9 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from octoprint_moop.core.checks import Check, Pictures  # noqa: E402
 from octoprint_moop.core.gcode.read import read_gcode  # noqa: E402
-from octoprint_moop.core.inspection import Check, Inspector, Pictures  # noqa: E402
+from octoprint_moop.core.inspection import Inspector  # noqa: E402
 from octoprint_moop.core.overlay import difference  # noqa: E402
 from octoprint_moop.machine.recording import Recording  # noqa: E402
 from octoprint_moop.machine.renderers import open_renderer  # noqa: E402

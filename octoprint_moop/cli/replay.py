@@ -10,9 +10,9 @@ from pathlib import Path
 
 import click
 
+from ..core.checks import Check, Pictures, Summary
 from ..core.errors import MeshError, SettingsError
 from ..core.expected.placing import Placement
-from ..core.inspection import Check, Pictures, Summary
 from ..core.settings import Settings, read_value
 from ..machine.recording import Recording
 from ..machine.renderers import open_renderer

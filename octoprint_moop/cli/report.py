@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..core.inspection import Check, Pictures, Summary
+from ..core.checks import Check, Pictures, Summary
 from ..core.overlay import INKS, difference, outlined
 
 WIDEST_PX = 640

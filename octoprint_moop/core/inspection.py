@@ -5,20 +5,30 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Callable
+from typing import Callable
 
 import cv2
 import numpy as np
 
-from .calibration.selfcheck import Fit
 from .camera import Camera
-from .decision.compare import Comparison, compare
+from .checks import Check, Pictures
+from .decision.compare import compare
 from .decision.course import Courses, Look, Ruling
-from .decision.decide import CAMERA_MOVED, FAILED, OK, UNUSABLE, Track, accept, pardon
+from .decision.decide import CAMERA_MOVED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import Diagnosis, diagnose
 from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
-from .decision.memory import Memory
-from .decision.spots import disc
+from .decision.telling import (
+    ALIKE,
+    HEAD_HIDES,
+    HIDDEN,
+    blocked,
+    little_of,
+    not_seen_px,
+    seems_hidden,
+    tells_apart,
+    union,
+    unseen_and_unmissed,
+)
 from .errors import FrameError, SegmentationError
 from .expected.views import Expected, MaskRenderer, box_about
 from .head import HeadModel
@@ -30,100 +40,7 @@ from .view.view import MOVED_PX, View, moved_sentence
 
 NEAR_PX = 16  # how far about all that is expected and seen edges are looked for, and a little more
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
-HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
-HIDDEN = "Something stands in the view: a hand, or a tool?"
-HEAD_HIDES = "The print head hides the print. Let it park for the picture."
-ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
-UNLIKE = (
-    "The print is seen badly: so much of the picture is not as expected, good as it may be, that little could be told from it. "
-    "Calibrate the camera anew, see that the lamp lights the print, or clear away what has the filament's colour."
-)
-BADLY_SEEN = (
-    0.25  # the E that is usual, though nothing is wrong: of so little that is right no one would tell what fails
-)
-SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
-MISSED_RATIO = 0.1  # of what is not seen; where less is known to be missing or out of place, the rest may be there
-DRIFT_LEAST = 4.0  # grey levels by which a place where nothing came has not changed
-FLOODED = 1.5  # times the complete print: so much too much matter is no print's but the bed taken for filament
-LEAST_TELLING_RATIO = 0.3  # of the expected mask, that could be missed were it gone, to say that all is well
-MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
-
-
-@dataclass(frozen=True)
-class Check:
-    """What was concluded from one frame: a line of checks.jsonl and of `moop replay --json`."""
-
-    moment: Moment
-    verdict: str
-    comparison: Comparison | None = None
-    limit: float | None = None
-    mode: str | None = None
-    reason: str = ""
-    objects: tuple[dict[str, Any], ...] = ()
-    ms: float = 0.0
-    fit: Fit | None = None
-
-    @classmethod
-    def of(cls, moment: Moment, look: Look, ruling: Ruling | None, objects: Sequence[str]) -> Check:
-        """What follows from a look and the ruling on it, None where nothing could be judged. objects: their names."""
-        if ruling is None:
-            return cls(moment, look.blind, look.comparison, reason=look.reason)
-        worst = ruling.worst
-        if worst.verdict == OK and look.little:
-            return cls(moment, UNUSABLE, look.comparison, limit=ruling.limit, reason=look.little)
-        if worst.verdict == OK and ruling.unlike > BADLY_SEEN:
-            return cls(moment, UNUSABLE, look.comparison, limit=ruling.limit, reason=UNLIKE)
-        named = look.names.get(worst.object_id) if worst.verdict != OK else None
-        who = f"{objects[worst.object_id]}: " if worst.object_id >= 0 else ""
-        return cls(
-            moment,
-            worst.verdict,
-            look.comparison,
-            limit=ruling.limit,
-            mode=named.mode if named and worst.verdict == FAILED else None,
-            reason=who + named.sentence if named else "",
-            objects=tuple(
-                {
-                    "name": objects[outcome.object_id],
-                    "E": round(evidence.error_ratio, 6),
-                    "verdict": outcome.verdict,
-                    "mode": look.names[outcome.object_id].mode if outcome.verdict == FAILED else None,
-                }
-                for evidence, outcome in zip(look.scopes[1:], ruling.outcomes[1:])
-            ),
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """The check line of FORMATS.md, section 4. Counts are null where nothing could be compared."""
-        seen = self.comparison
-        counts = ("xor_px", "missing_px", "extra_px", "expected_px", "observed_px", "ignored_px", "total_px")
-        return {
-            "type": "check",
-            "frame": self.moment.frame,
-            "layer": self.moment.layer,
-            "file_pos": self.moment.file_pos,
-            "E": None if seen is None else round(seen.error_ratio, 6),
-            **{name: None if seen is None else getattr(seen, name) for name in counts},
-            "verdict": self.verdict,
-            "mode": self.mode,
-            "reason": self.reason,
-            "objects": list(self.objects),
-            "limit": None if self.limit is None else round(self.limit, 6),
-            "calibration_error_px": None if self.fit is None else round(self.fit.error_px, 2),
-            "calibration": "" if self.fit is None else self.fit.told,
-            "ms": round(self.ms, 2),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Pictures:
-    """What a check looked at, for people: frame (H, W, 3) uint8 BGR; masks (H, W) uint8, 0 or 255, in its pixels."""
-
-    frame: np.ndarray
-    observed: np.ndarray
-    expected: np.ndarray
-    ignored: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,13 +166,13 @@ class Inspector:
         seen = view.observe(steady, moment)
         observed = seen.mask
         head, doubtful, would_tell = expected.volume, None, expected.mask
-        hidden = view.occluded(steady, _union(observed, expected.mask, expected.ignored, head))
+        hidden = view.occluded(steady, union(observed, expected.mask, expected.ignored, head))
         if head is not None:
             lies = in_place(observed, expected.mask, head)
             matter, either = view.clearance.free(window, moment.position_mm, head)
             doubtful = head & cv2.bitwise_not(lies | matter | (either & cv2.bitwise_not(expected.mask)))
             would_tell = expected.mask & cv2.bitwise_not(doubtful)
-        ignored = _union(seen.unsure, steady.outside, hidden, doubtful, expected.ignored)
+        ignored = union(seen.unsure, steady.outside, hidden, doubtful, expected.ignored)
         self._shown = lambda: Pictures(
             steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
         )  # fmt: skip
@@ -267,11 +184,9 @@ class Inspector:
         )  # fmt: skip
         comparison = compare(sharp.mask, sharp_observed, close.cut(steady.whole.complete), sharp_ignored)
         comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * window.step**2)
-        blocked = self._blocked(expected, hidden, doubtful, seen.unsure)
-        if not blocked and comparison.extra_px > FLOODED * comparison.total_px:
-            blocked = ALIKE
-        if blocked:
-            return self._blind(Look(comparison, UNUSABLE, blocked), moment)
+        why = blocked(expected, hidden, doubtful, seen.unsure, comparison)
+        if why:
+            return self._blind(Look(comparison, UNUSABLE, why), moment)
         view.accept(steady)
         memory = view.memory(moment)
         layer = self._toolpath.layer_at(moment.file_pos)
@@ -283,22 +198,21 @@ class Inspector:
             lambda: view.laid_px(moment, laid) / window.step**2, steady.sure,
         )  # fmt: skip
         findings = find(sight, memory)
-        hidden_px = max(findings.hidden_px, findings.untold_px)
-        hidden_now = hidden_px > max(HIDDEN_RATIO * findings.whole.total_px, 0.5 * findings.whole.lost_px)
+        hidden_now = seems_hidden(findings)
         hidden_before = self._hidden_checks.get(moment.camera, 0)
         self._hidden_checks[moment.camera] = hidden_before + 1 if hidden_now else 0
         if hidden_now and hidden_before < HIDDEN_CHECKS:
-            alike = findings.untold_px >= findings.hidden_px and _not_seen_px(findings, memory) > 0
+            alike = findings.untold_px >= findings.hidden_px and not_seen_px(findings, memory) > 0
             return self._blind(Look(comparison, UNUSABLE, ALIKE if alike else HIDDEN), moment)
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), moment)
         if moment.camera not in self._told_apart:
-            if not _tells_apart(findings, memory, tolerance_px):
+            if not tells_apart(findings, memory, tolerance_px):
                 view.learn(steady, moment, seen)
                 return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
             self._told_apart.add(moment.camera)
-        if _unseen_and_unmissed(findings, memory):
+        if unseen_and_unmissed(findings, memory):
             return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
         self._seen[moment.camera] = _Seen(view, moment, findings)
         memory.keep_loose(findings.window, findings.loose, findings.seen)
@@ -310,7 +224,7 @@ class Inspector:
                 if outcome.verdict != OK
             }
 
-        little = HEAD_HIDES if _little_of(would_tell, expected.mask) else ""
+        little = HEAD_HIDES if little_of(would_tell, expected.mask) else ""
         look = Look(comparison, scopes=findings.scopes, little=little, turned=steady.turned)
         self.look, ruling = self._courses.rule(look, moment, name)
         assert ruling is not None
@@ -335,22 +249,6 @@ class Inspector:
         self.look = look
         shown, ruling = self._courses.rule(look, moment)
         return Check.of(moment, shown, ruling, self._toolpath.objects)
-
-    @staticmethod
-    def _blocked(expected: Expected, hidden: np.ndarray | None, doubtful: np.ndarray | None, unsure: np.ndarray) -> str:
-        """Why too little of the print is seen to judge it; "" where enough is.
-
-        A head that stands over the print hides what it hides; anything else that does is somebody's hand.
-        """
-        if hidden is not None:
-            return HIDDEN
-        wanted = max(cv2.countNonZero(expected.mask), 1)
-        told_nothing = [mask for mask in (doubtful, expected.ignored) if mask is not None]
-        if told_nothing and cv2.countNonZero(expected.mask & _union(*told_nothing)) > MOST_HIDDEN_RATIO * wanted:
-            return HEAD_HIDES
-        if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
-            return ALIKE
-        return ""
 
     def _head(self) -> HeadModel:
         """The printer's own, else that of the settings, else a common one."""
@@ -377,81 +275,3 @@ def conclude(looks: Iterable[tuple[Look, Moment]], sensitivity: str, objects: Se
     courses = Courses(sensitivity)
     for look, moment in looks:
         yield Check.of(moment, *courses.rule(look, moment), objects)
-
-
-def _union(mask: np.ndarray, *others: np.ndarray | None) -> np.ndarray:
-    """uint8: the first mask and the others, of which None stands for an empty one."""
-    for other in others:
-        if other is not None:
-            mask = mask | other
-    return mask
-
-
-def _little_of(part: np.ndarray, whole: np.ndarray) -> bool:
-    """Whether so little of the expected mask could be missed that seeing nothing wrong says nothing."""
-    return cv2.countNonZero(part) < LEAST_TELLING_RATIO * cv2.countNonZero(whole)
-
-
-def _tells_apart(findings: Findings, memory: Memory, tolerance_px: float) -> bool:
-    """Whether print and bed can be told from one another at all: most of what must be seen is, or plainly isn't there."""
-    wanted, seen, near = findings.wanted & findings.known, findings.seen & findings.known, disc(tolerance_px)
-    missing = wanted & (cv2.dilate(seen.view(np.uint8), near) == 0)
-    extra_px = np.count_nonzero(seen & (cv2.dilate(findings.wanted.view(np.uint8), near) == 0))
-    wanted_px, missing_px = np.count_nonzero(wanted), np.count_nonzero(missing)
-    if extra_px > EXTRA_MOST * wanted_px:
-        return False
-    if missing_px <= (1 - SEEN_LEAST) * wanted_px:
-        return True
-    window, look = findings.window, findings.look
-    if 2 * np.count_nonzero(memory.looks_bare(window, look, missing)) <= missing_px:
-        return False
-    # each pixel looks bare; but where filament hardly darker or brighter than the bed lies, all of them have changed a little
-    far, close = (cv2.dilate(findings.wanted.view(np.uint8), disc(n * tolerance_px)) > 0 for n in (6, 2))
-    return memory.drift(window, look, missing, far & ~close & findings.known & ~seen) < DRIFT_LEAST
-
-
-def _not_seen_px(findings: Findings, memory: Memory) -> int:
-    """How many pixels of what must be seen are not, where those are most; else 0."""
-    wanted = findings.wanted & findings.known & ~memory.given_up(findings.window)
-    wanted_px, seen_px = np.count_nonzero(wanted), np.count_nonzero(wanted & findings.seen)
-    return int(wanted_px - seen_px) if seen_px < SEEN_LEAST * wanted_px else 0
-
-
-def _unseen_and_unmissed(findings: Findings, memory: Memory) -> bool:
-    """Whether most of what must be seen is not, and yet nothing tells that it is not there: then nothing is known of it."""
-    whole = findings.whole
-    missed_px = whole.lost_px + whole.stray_px + whole.unseen_px + whole.barren_px
-    return missed_px < MISSED_RATIO * _not_seen_px(findings, memory)
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a whole print came to: the last line of a replay."""
-
-    checks: int
-    first_suspect_layer: int | None
-    first_failed_layer: int | None
-    mode: str | None
-    failed_objects: tuple[str, ...]
-    action: str
-    ms_p50: float
-    ms_p95: float
-
-    @classmethod
-    def of(cls, checks: list[Check], action_when_failed: str = "pause") -> Summary:
-        failed = next((check for check in checks if check.verdict == FAILED), None)
-        suspect = next((check for check in checks if check.verdict in ("suspect", FAILED)), None)
-        times_ms = np.array([check.ms for check in checks] or [0.0])
-        return cls(
-            checks=len(checks),
-            first_suspect_layer=suspect.moment.layer if suspect else None,
-            first_failed_layer=failed.moment.layer if failed else None,
-            mode=failed.mode if failed else None,
-            failed_objects=tuple(o["name"] for o in failed.objects if o["verdict"] == FAILED) if failed else (),
-            action=action_when_failed if failed else "none",
-            ms_p50=round(float(np.percentile(times_ms, 50)), 2),
-            ms_p95=round(float(np.percentile(times_ms, 95)), 2),
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "summary", **self.__dict__, "failed_objects": list(self.failed_objects)}

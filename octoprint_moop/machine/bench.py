@@ -200,7 +200,7 @@ def replay(
     from dataclasses import replace
     from pathlib import Path
 
-    from ..core.inspection import Summary
+    from ..core.checks import Summary
     from ..core.settings import read_settings
     from .recording import Recording
     from .renderers import open_renderer

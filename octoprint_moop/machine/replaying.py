@@ -22,10 +22,11 @@ import cv2
 import numpy as np
 
 from ..core.calibration.selfcheck import Fit
+from ..core.checks import Check, Pictures
 from ..core.decision.course import Look
 from ..core.errors import RecordingError
 from ..core.header import Header, Moment
-from ..core.inspection import Check, Inspector, Pictures, conclude
+from ..core.inspection import Inspector, conclude
 from ..core.settings import Settings
 from .recording import Recording
 from .roads import MeshChoice, Road

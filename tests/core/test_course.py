@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
+from octoprint_moop.core.checks import Check
 from octoprint_moop.core.decision.compare import Comparison
 from octoprint_moop.core.decision.course import Course, Courses, Look
 from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, UNUSABLE, accept
 from octoprint_moop.core.decision.diagnose import Diagnosis
 from octoprint_moop.core.decision.evidence import WHOLE, Evidence
 from octoprint_moop.core.header import Moment
-from octoprint_moop.core.inspection import Check
 
 TOTAL_PX = 20_000
 LIMIT_PX = MATTER_LIMIT_RATIO * TOTAL_PX

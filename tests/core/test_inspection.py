@@ -12,6 +12,7 @@ import pytest
 
 from octoprint_moop.core import inspection
 from octoprint_moop.core.decision.memory import Memory
+from octoprint_moop.core.decision.telling import unseen_and_unmissed
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.header import Moment
@@ -189,7 +190,6 @@ def test_a_line_that_says_again_is_a_second_look_in_a_replay_too(detached):
 
 def test_what_seems_hidden_check_after_check_is_judged_in_the_end(detached, monkeypatch):
     """A hand does not rest at one spot for layers: what was taken for hidden may as well be gone."""
-    from octoprint_moop.core import inspection
 
     inspector, recording = inspected(detached, 8)
     found = inspection.find
@@ -240,7 +240,7 @@ def test_what_is_neither_seen_nor_missed_is_not_known_to_be_well(seen_rows, lost
     window = (slice(0, 40), slice(0, 40))
     whole = SimpleNamespace(lost_px=lost_px, stray_px=0, unseen_px=0, barren_px=0)
     findings = SimpleNamespace(wanted=wanted, seen=seen, known=np.ones_like(wanted), window=window, whole=whole)
-    assert inspection._unseen_and_unmissed(findings, Memory(None, (40, 40))) is unknown
+    assert unseen_and_unmissed(findings, Memory(None, (40, 40))) is unknown
 
 
 def test_a_camera_that_was_turned_away_says_so_at_every_layer_until_it_is_back(clogged):

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.camera import BedMotion
+from octoprint_moop.core.checks import Check
+from octoprint_moop.core.decision.telling import HEAD_HIDES
 from octoprint_moop.core.expected.hardware import hidden_by
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.head import HeadModel
 from octoprint_moop.core.header import Header, Moment, Printer
-from octoprint_moop.core.inspection import HEAD_HIDES, Check, Inspector
+from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.demo.run import JOB, MATERIAL, demo_camera
 from octoprint_moop.demo.simulate import ORANGE_BGR, Scene

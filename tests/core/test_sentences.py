@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from octoprint_moop.core.checks import Check
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.gcode.read import read_gcode
-from octoprint_moop.core.inspection import Check, Inspector
+from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.demo.faults import Fault, matter_at
 from octoprint_moop.machine.recording import Recording
 

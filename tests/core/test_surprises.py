@@ -267,7 +267,7 @@ def test_an_object_that_is_well_stays_well():
 
 @pytest.mark.parametrize(("newer_seen_px", "surprise"), [(400, 0.0), (395, 1.0), (390, 2.0), (200, 2.0)])
 def test_what_is_not_seen_of_older_layers_counts_as_far_as_newer_ones_bear_it_out(newer_seen_px, surprise):
-    """A tenth of what eight layers cover is not seen; of the last four none, a share an eighth as large, a quarter, five times."""
+    """A tenth of what eight layers cover is not seen; of the last four none, an eighth of that share, a quarter, five times."""
     good = track_of(unseen=0.0, lost=0.0)
     fresh = ((0, 0), (0, 0), (400, newer_seen_px), (1600, 1440))
     assert size("all", good, unseen_px=160, fresh=fresh) == pytest.approx(surprise)

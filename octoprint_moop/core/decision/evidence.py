@@ -349,10 +349,10 @@ def _hidden_px(
         return 0
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)
-    most_px = HIDING_RATIO * np.count_nonzero(about)
+    most_px = HIDING_RATIO * int(np.count_nonzero(about))
     # where the very bed is seen instead, it takes a good part of what is around to say that something else is
     if np.count_nonzero(memory.looks_bare(window, look, gone)) < BARED_RATIO * gone_px:
-        most_px = min(most_px, gone_px)
+        most_px = min(most_px, float(gone_px))
     if np.count_nonzero(changed) > most_px:
         return int(gone_px)
     return int(np.count_nonzero(memory.looks_strange(window, look, gone)))

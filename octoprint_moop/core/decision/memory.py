@@ -162,7 +162,7 @@ class Memory:
         changes = [float(np.median(now[bed]) - np.median(then[bed])) for now, then in zip(look, self.bare(window))]
         if max(abs(change) for change in changes) < CHANGED / 2:
             return np.zeros_like(where)
-        undone = np.stack([cv2.subtract(now, (change, 0, 0, 0)) for now, change in zip(look, changes)])
+        undone = np.stack([np.clip(now - change + 0.5, 0, 255).astype(np.uint8) for now, change in zip(look, changes)])
         return self.looks_new(window, undone, where, CHANGED // 2, unknown=False)
 
     def shines(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> bool:
