@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import tracemalloc
 
 import numpy as np
 import pytest
 
+from octoprint_moop.core.errors import GcodeError
 from octoprint_moop.core.gcode import interpreter
-from octoprint_moop.core.gcode.read import read_gcode_bytes
+from octoprint_moop.core.gcode.read import read_gcode, read_gcode_bytes
 
 
 def ends(text: str) -> list[list[float]]:
@@ -164,3 +166,10 @@ def test_a_file_that_feeds_by_a_is_read_as_if_it_said_e():
     assert len(read_gcode_bytes(relative.encode())) == 39  # the first goes nowhere
     turned = "G1 X0 Y0 Z.2 A90\nM83\nG1 X9 A45 E1\n"  # an axis that turns, beside E
     assert read_gcode_bytes(turned.encode()).filament_mm == 1
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    pipe = tmp_path / "job.gcode"
+    os.mkfifo(pipe)
+    with pytest.raises(GcodeError, match="is a pipe"):
+        read_gcode(pipe)

@@ -86,6 +86,8 @@ def read_gcode_bytes(
 
 
 def _opened(path: Path) -> BinaryIO:
+    if path.is_fifo():  # which would be waited for, and can be read only once
+        raise GcodeError(f"{path} is a pipe. Save the G-code as a file first.")
     with open(path, "rb") as raw:
         packed = raw.read(2) == b"\x1f\x8b"
     return cast(BinaryIO, gzip.open(path, "rb") if packed else open(path, "rb"))

@@ -16,6 +16,7 @@ from .stabilise import Stabiliser
 from .usable import Occluders
 
 SAME_POSE_MM = 0.5
+FAR = 100.0  # pictures
 RIM_RATIO = 15 / 640  # of the picture's width
 
 
@@ -86,8 +87,11 @@ class Backdrop:
         moved = cv2.warpPerspective(reference_bgr, motion, (width, height), borderMode=cv2.BORDER_REPLICATE)
         seen = cv2.warpPerspective(everywhere, motion, (width, height))
         bed_before, bed_now = np.zeros_like(everywhere), np.zeros_like(everywhere)
-        cv2.fillConvexPoly(bed_before, before_px.round().astype(np.int32), 255)
-        cv2.fillConvexPoly(bed_now, now_px.round().astype(np.int32), 255)
+        for bed, corners_px in ((bed_before, before_px), (bed_now, now_px)):
+            far_px = FAR * max(
+                width, height
+            )  # a corner beside the camera is seen further off than pixels can be counted
+            cv2.fillConvexPoly(bed, corners_px.clip(-far_px, far_px).round().astype(np.int32), 255)
         picture = cv2.copyTo(moved, bed_now, reference_bgr.copy())
         # what the bed stood before is seen now for the first time, and its rim is a thing of its own
         known = np.where(bed_now > 0, seen, cv2.bitwise_not(bed_before))
