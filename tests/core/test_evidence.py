@@ -216,6 +216,17 @@ def test_matter_that_segmentation_no_longer_sees_but_the_picture_shows_is_not_lo
     assert found.whole.lost_px == 0
 
 
+def test_matter_that_was_seen_to_come_and_looks_like_the_bed_now_has_not_failed_to_come():
+    """A solid layer that shines as grey as the bed: if anything, what lay there has gone again."""
+    stage = Stage().printed(12)
+    patch = np.zeros(SHAPE, bool)
+    patch[GROUND - 12 * LAYER_PX : GROUND - 8 * LAYER_PX, 95:145] = True
+    found = stage.look(13, walls(13) & ~patch)
+    assert found.whole.unseen_px == found.whole.barren_px == 0
+    never = stage.look(13, walls(12))
+    assert never.whole.unseen_px > 100
+
+
 def test_matter_that_segmentation_imagines_where_nothing_changed_has_not_come():
     stage = Stage().printed(12)
     found = stage.look(15, walls(12), observed=walls(15))

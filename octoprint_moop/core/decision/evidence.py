@@ -257,7 +257,8 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     # contours that are known to be off by more than a pixel hide a layer's height
     off_px = round(memory.spread_px - 0.5) if memory.fitted else 0
     covered = observed if off_px < 1 else cv2.dilate(observed_u8, disc(off_px)) > 0
-    unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered)
+    # what was seen in a good check has come; whether it has gone again is asked above
+    unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered & ~memory.ever_seen(window))
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
     # dark filament and its own shadow look alike
     rim &= ~memory.looks_shaded(window, look, rim)
