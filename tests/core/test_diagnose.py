@@ -113,6 +113,47 @@ def test_what_is_displaced_on_one_of_two_objects_alone_is_no_shift_since_axes_th
     assert named(23, walls(20) | beside | wall(1, 23, 21), object_id=0).mode == "stray_material"
 
 
+def test_a_shift_that_lays_one_objects_matter_beside_another_is_told_by_all_objects_together():
+    """What the right wall shed lies half beside the left one's top, which shows too little of its own."""
+    newest = moved(wall(0, 22, 21) | wall(1, 22, 21), 44, 0)
+    for number in (0, 1):
+        found = named(22, walls(20) | newest, object_id=number)
+        assert found.mode == "layer_shift", number
+        assert millimetres(found.sentence) == pytest.approx(44 / PX_PER_MM, abs=0.6) and "right" in found.sentence
+
+
+def test_a_first_shifted_layer_whose_lines_have_run_together_is_told_by_its_outline():
+    lines = np.zeros(SHAPE, bool)
+    lines[130:170, 90:150:6] = lines[130:170, 91:151:6] = True
+    lines[130:170:6, 90:150] = lines[131:171:6, 90:150] = True
+
+    class OfLines(FlatPlace):
+        def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+            return np.where(lines, np.uint8(255), np.uint8(0))
+
+    nearer = np.float32([[1.15, 0, -32 - 0.15 * 120], [0, 1.15, -0.15 * 150]])
+    beside = cv2.warpAffine(cv2.dilate(lines.astype(np.uint8), np.ones((3, 3))), nearer, SHAPE[::-1]) > 0
+    found = named(22, walls(22) | beside, place=OfLines(22))
+    assert found.mode == "layer_shift"
+    assert "to the left" in found.sentence and millimetres(found.sentence) == pytest.approx(32 / PX_PER_MM, abs=2.1)
+
+
+def test_what_lies_turned_beside_the_print_with_the_outline_of_a_part_has_come_off_though_its_place_is_hidden():
+    """As where a head stands before the place: there all is taken to be as it was."""
+    turn = cv2.getRotationMatrix2D((120, 158), 40, 1.0) + [[0, 0, -50], [0, 0, 20]]
+    slid = cv2.warpAffine(wall(0, 20).astype(np.uint8), turn, SHAPE[::-1]) > 0
+    found = named(21, walls(21) | slid, object_id=0)
+    assert found.mode == "detachment"
+    assert "left" in found.sentence and millimetres(found.sentence) == pytest.approx(
+        np.hypot(50, 20) / PX_PER_MM, abs=1.5
+    )
+
+
+def test_a_round_blob_as_large_as_a_part_is_stray_material():
+    blob = cv2.circle(np.zeros(SHAPE, np.uint8), (66, 160), 27, 1, cv2.FILLED) > 0
+    assert named(21, walls(21) | blob, object_id=0).mode == "stray_material"
+
+
 def test_strands_beside_a_print_that_stands_are_stray_material():
     matter = walls(21)
     for row in range(GROUND - 60, GROUND - 10, 9):

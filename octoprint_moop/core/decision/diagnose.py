@@ -14,14 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .decide import Outcome
-from .evidence import Findings, Sight
-from .movements import Lift, Move, Place, Scope, middle_of
+from .evidence import WHOLE, Findings, Sight
+from .movements import OLD_MOVED_RATIO, Lift, Move, Place, Scope, middle_of
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
 
 GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays bare
-OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
 LEAST_MOVE_PX = 2.0
 PLAUSIBLE, MUCH_SHORTER = 0.2, 0.6  # of two movements that explain as much but for this, a much shorter one is taken
@@ -41,6 +40,10 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
     if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1):
         return _old_moved(scope, place)
     shift = scope.shift_above(lambda layer: place.covered(outcome.object_id, layer)[findings.window] > 0)
+    if shift is None and scope.has_others:
+        # axes that slip displace what is laid of all objects, and all of them together show it best
+        everything = Scope(WHOLE, findings, sight)
+        shift = everything.newest_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
     lift = scope.lifted_corner(place)
     if lift and (shift is None or _plainer(lift, shift)):
         return _lifted(lift, scope, place)
@@ -54,6 +57,9 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
         if scope.unseen_ratio(since) > 0.8:
             return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since + 1}.")
         return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since + 1}.")
+    move = scope.moved_away(place)
+    if move:
+        return _come_off(move, place)
     if scope.stray_px:
         area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(sight.layer) / 2, findings)
         return Diagnosis(STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it.")
@@ -79,17 +85,20 @@ def _old_moved(scope: Scope, place: Place) -> Diagnosis:
     move = scope.moved_whole(LEAST_MOVE_PX)
     if move and lift and not gone and lift.explained_ratio > move.explained_ratio - PLAUSIBLE:
         return _lifted(lift, scope, place)
-    if gone or move:
-        if not move:
-            return Diagnosis(DETACHMENT, "The print has come off.")
-        return Diagnosis(
-            DETACHMENT, f"The print has come off: it lies about {_distance(place, move, 0.0)} from its place."
-        )
+    move = move or (None if gone or lift else scope.moved_away(place))
+    if move:
+        return _come_off(move, place)
+    if gone:
+        return Diagnosis(DETACHMENT, "The print has come off.")
     corner, lift_px = scope.bared()
     at = np.array([corner, (corner[0] + 1.0, corner[1])])
     px_per_mm = 1 / max(float(np.linalg.norm(np.diff(place.on_bed_mm(at, 0.0), axis=0))), 1e-6)
     off_centre = np.diff(place.on_bed_mm(np.array([scope.middle(), corner]), 0.0), axis=0)[0]
     return Diagnosis(WARPING, f"The {_corner(off_centre)} has lifted by about {_rounded(lift_px / px_per_mm)} mm.")
+
+
+def _come_off(move: Move, place: Place) -> Diagnosis:
+    return Diagnosis(DETACHMENT, f"The print has come off: it lies about {_distance(place, move, 0.0)} from its place.")
 
 
 def _on_bed_mm(place: Place, move: Move, z_mm: float) -> tuple[float, float]:

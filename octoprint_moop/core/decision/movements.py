@@ -6,6 +6,7 @@ print is taken to have moved so; a movement that would show elsewhere as well, a
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Callable, Protocol
@@ -14,6 +15,7 @@ import cv2
 import numpy as np
 
 from .evidence import WHOLE, WINDOWS, Findings, Sight
+from .outlines import Beside, Likeness, best_place, displaced, filled
 from .spots import disc
 
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
@@ -27,7 +29,14 @@ STRAY_LEAST_PX, STRAY_SHIFTED_RATIO = (
     30,
     0.15,
 )  # of the stray matter must lie where a shift would put it, were all else a clog's doing
+OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the old has moved
+LEAST_PART_PX = 20
 LIKE_RATIO = 0.84  # from which on what lies beside the print is the newest layers' own pattern
+BOTH_RATIO, AGREE_PX = 0.87, 4.5  # the same of the mean of pattern and outline, where they agree
+AWAY_RATIO, AWAY_LEAST_PX = 0.88, 60  # the same for a part that came off
+OUT_RATIO = 0.15  # of that part at least so much sticks out
+AWAY_APART_PX, SKIRT_PX = 1.5, 3.0  # contours' mean distance; what is thinner lies flat, and other things upon it
+AWAY_TURNS_DEG, AWAY_FINER_DEG, AWAY_NEAR_RATIO = range(-90, 90, 30), 10, 0.6  # then about the best
 WAYS, WAY_RAD = 3, np.radians(22.5)  # to either side of where the difference lies
 OTHERS_LEAST_PX, OTHERS_MOVED_PX = 20, 6
 
@@ -82,7 +91,7 @@ class Scope:
         self._origin_px = np.array([window[1].start, window[0].start], float)
         self._layer, self._layer_of = sight.layer, print_map.layer[window]
         self._owner, self._all_wanted, self._scopes = print_map.owner[window], findings.wanted, findings.scopes
-        self._whole = object_id == WHOLE
+        self._whole, self._known, self._finer = object_id == WHOLE, findings.known, sight.finer
         self._others = [one for one in findings.scopes if one.object_id not in (WHOLE, object_id)]
         self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
         self._lost, self._unseen = findings.lost & inside, findings.unseen & inside
@@ -99,6 +108,11 @@ class Scope:
         # along the expected edges the evidence has no say, unless it spoke up
         self._counts = (~near_edge & ~self._foreign & findings.known) | self._lost | self._unseen | self.stray
         self.wrong_px = self._differing_px(self._wanted)
+
+    @property
+    def has_others(self) -> bool:
+        """Whether this is one object of several."""
+        return bool(self._others) and not self._whole
 
     def _differing_px(self, explained: np.ndarray) -> int:
         return int(np.count_nonzero((explained ^ self._seen) & self._counts))
@@ -170,40 +184,61 @@ class Scope:
         # the first shifted layer lies on air where it sticks out, and comes in pieces
         newest = best is not None and best.layer == self._layer and best.distance_px >= 2 * LEAST_SHIFT_PX
         if best is None or best.explained_ratio < (FIRST_SHIFTED_RATIO if newest else 1.2 * EXPLAINED_RATIO):
-            return self._alike(covered)
+            return self.newest_shifted(covered)
         near = [move for move in moves if move.explained_ratio >= best.explained_ratio - AS_GOOD]
         first = min(near, key=lambda move: move.layer)
         return first if self._others_moved(first.layer) else None
 
-    def _alike(self, covered: Callable[[int], np.ndarray]) -> Move | None:
+    def newest_shifted(self, covered: Callable[[int], np.ndarray]) -> Move | None:
         """How the newest layers are displaced, where what lies beside the print is their own pattern of lines, in which the
         picture shows gaps; None where it is not.
 
-        The lines' own likeness tells, not how much they explain: of what sticks out, the share that is seen, and of what
-        is seen, the share that a shift would put there (the harmonic mean of both).
+        The lines' own likeness tells, not how much they explain; or the mean of theirs and of their outline's, where both
+        find them at the same place.
         """
-        if (self._others and not self._whole) or self.stray_px < STRAY_LEAST_PX:
+        old_moved = self.lost_px >= OLD_MOVED_RATIO * self.wrong_px
+        if self.has_others or self.stray_px < STRAY_LEAST_PX or old_moved:
             return None
-        mute = (cv2.dilate(self._wanted.view(np.uint8), disc(2)) > 0) | self._foreign
-        stray = cv2.dilate(self.stray.view(np.uint8), disc(1))
-        pays = np.where(mute, np.float32(0), np.where(stray > 0, np.float32(1), np.float32(-1)))
-        best: Move | None = None
+        beside, best = self._beside(), None
         for layer in range(self._layer, max(self._layer - 4, 0), -1):
             part = covered(layer)
-            if np.count_nonzero(part) < 20:
+            if np.count_nonzero(part) < LEAST_PART_PX:
                 continue
-            offset = _best_place(part, pays)
-            there = cv2.warpAffine(
-                part.astype(np.uint8), np.array([[1.0, 0, offset[0]], [0, 1.0, offset[1]]]), part.shape[::-1]
-            )
-            out, near = (there > 0) & ~mute, cv2.dilate(there, disc(1.5)) > 0
-            seen = np.count_nonzero(out & (stray > 0)) / max(int(np.count_nonzero(out)), 1)
-            told = np.count_nonzero(self.stray & ~mute & near) / max(int(np.count_nonzero(self.stray & ~mute)), 1)
-            like = 2 * seen * told / max(seen + told, 1e-6)
-            if like >= LIKE_RATIO and (best is None or like > best.explained_ratio):
-                middle = middle_of(part) + self._origin_px
-                best = Move(tuple(middle), tuple(middle + offset), like, told, layer)
+            lines, outline = beside.lines(part), beside.layer(part)
+            apart_px = np.hypot(*np.subtract(lines.offset_px, outline.offset_px))
+            both = (lines.ratio + outline.ratio) / 2 if apart_px <= AGREE_PX * self._finer else 0.0
+            if lines.ratio < LIKE_RATIO and both < BOTH_RATIO:
+                continue
+            if best is None or max(lines.ratio, both) > best.explained_ratio:
+                at, middle = (outline if both > lines.ratio else lines), middle_of(part) + self._origin_px
+                to_px = tuple(middle + at.offset_px)
+                best = Move(tuple(middle), to_px, max(lines.ratio, both), at.told_ratio, layer)
         return best
+
+    def moved_away(self, place: Place) -> Move | None:
+        """How a part that stands alone was moved and turned on the bed, so far that a good part of it lies beside the print
+        with the outline that it had; None where no such thing lies there. Its old place has no say: a head may hide it.
+        """
+        beside, best = self._beside(), None
+        if beside.px < AWAY_LEAST_PX:
+            return None
+        count, labels = cv2.connectedComponents((self._wanted & self._labelled).astype(np.uint8), connectivity=4)
+        for number in range(1, count):
+            part = filled(labels == number)
+            # what sticks out at most, and at least, of what could be so alike
+            if not 0.75 * beside.px <= np.count_nonzero(part) <= 1.3 * beside.px / OUT_RATIO:
+                continue
+            others = (self._wanted & self._labelled & ~part).view(np.uint8)
+            others = cv2.morphologyEx(others, cv2.MORPH_OPEN, disc(SKIRT_PX * self._finer)) > 0
+            from_px = middle_of(part) + self._origin_px
+            for found in _turned_beside(beside, part, others, _mm_per_px(place, from_px)):
+                fits = found.out_ratio >= OUT_RATIO and found.apart_px <= AWAY_APART_PX * self._finer
+                if fits and (best is None or found.ratio > best.explained_ratio):
+                    best = Move(tuple(from_px), tuple(from_px + found.offset_px), found.ratio, found.told_ratio)
+        return best if best and best.explained_ratio >= AWAY_RATIO else None
+
+    def _beside(self) -> Beside:
+        return Beside(self.stray, self._wanted, self._foreign | ~self._known, self._finer)
 
     def _others_moved(self, layer: int) -> bool:
         """Whether the other objects are out of place above that layer too, as axes that slip amid it make them."""
@@ -265,34 +300,21 @@ class Scope:
 
     def _best_move(self, part: np.ndarray, standing: np.ndarray) -> Move | None:
         """Where `part` lies now, if `standing` stays where it is: the place where it covers most of what is seen."""
-        if np.count_nonzero(part) < 20:
+        if np.count_nonzero(part) < LEAST_PART_PX:
             return None
         pays = np.where(self._seen, np.float32(1), np.float32(-1))
         pays[standing | ~self._counts] = 0.0
-        right_px, down_px = _best_place(part, pays)
-        there = cv2.warpAffine(
-            part.astype(np.uint8), np.array([[1.0, 0, right_px], [0, 1.0, down_px]]), part.shape[::-1]
-        )
-        left_px = self._differing_px((there > 0) | standing)
-        stray_px = np.count_nonzero(self.stray & (cv2.dilate(there, disc(1.5)) > 0))
+        offset_px = best_place(part, pays)
+        there = displaced(part, offset_px)
+        left_px = self._differing_px(there | standing)
+        stray_px = np.count_nonzero(self.stray & (cv2.dilate(there.view(np.uint8), disc(1.5)) > 0))
         middle = middle_of(part) + self._origin_px
         return Move(
             tuple(middle),
-            tuple(middle + [right_px, down_px]),
+            tuple(middle + offset_px),
             1 - left_px / max(self.wrong_px, 1),
             stray_px / max(self.stray_px, 1),
         )
-
-
-def _best_place(part: np.ndarray, pays: np.ndarray) -> tuple[int, int]:
-    """(right, down) in pixels: where the mask `part` would cover most of what `pays`, float32; outside nothing does."""
-    x, y, w, h = cv2.boundingRect(part.view(np.uint8))
-    reach = max(24, int(0.6 * max(w, h)))
-    pays = cv2.copyMakeBorder(pays, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
-    field = pays[y : y + h + 2 * reach, x : x + w + 2 * reach]
-    score = cv2.matchTemplate(field, part[y : y + h, x : x + w].astype(np.float32), cv2.TM_CCORR)
-    column, row = cv2.minMaxLoc(score)[3]
-    return column - reach, row - reach
 
 
 def _drawn(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -327,6 +349,37 @@ def _turned(mask: np.ndarray, turn_deg: float) -> np.ndarray:
     x, y = middle_of(mask)
     matrix = cv2.getRotationMatrix2D((float(x), float(y)), turn_deg, 1.0)
     return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1]) > 0
+
+
+def _turned_beside(beside: Beside, part: np.ndarray, others: np.ndarray, mm_per_px: np.ndarray) -> Collection[Likeness]:
+    """How alike a part is in each of its turns on the bed, coarse ones first and finer ones about the best."""
+    middle = middle_of(part)
+
+    def turned(turn_deg: float) -> Likeness:
+        return beside.body(_turned_on_bed(part, turn_deg, middle, mm_per_px), others)
+
+    tried = {turn_deg: turned(turn_deg) for turn_deg in AWAY_TURNS_DEG}
+    best_deg = max(tried, key=lambda turn_deg: tried[turn_deg].ratio)
+    if tried[best_deg].ratio >= AWAY_NEAR_RATIO:
+        tried.update((finer, turned(finer)) for finer in (best_deg - AWAY_FINER_DEG, best_deg + AWAY_FINER_DEG))
+    return tried.values()
+
+
+def _mm_per_px(place: Place, pixel: np.ndarray) -> np.ndarray:
+    """(2, 2): the step on the bed, in columns, for a step of one pixel to the right and one down."""
+    at_mm = place.on_bed_mm(pixel + np.array([(0, 0), (1, 0), (0, 1)]), 0.0)
+    return (at_mm[1:] - at_mm[0]).T
+
+
+def _turned_on_bed(mask: np.ndarray, turn_deg: float, middle: np.ndarray, mm_per_px: np.ndarray) -> np.ndarray:
+    """bool: what lies flat there, turned about that pixel on the bed as the camera sees it."""
+    if not turn_deg or abs(np.linalg.det(mm_per_px)) < 1e-9:
+        return mask
+    turn = np.radians(turn_deg)
+    on_bed = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    in_picture = np.linalg.solve(mm_per_px, on_bed @ mm_per_px)
+    matrix = np.column_stack([in_picture, middle - in_picture @ middle])
+    return cv2.warpAffine(mask.view(np.uint8), matrix, mask.shape[::-1]) > 0
 
 
 def middle_of(mask: np.ndarray) -> np.ndarray:
