@@ -149,6 +149,12 @@ def test_what_lies_turned_beside_the_print_with_the_outline_of_a_part_has_come_o
     )
 
 
+def test_a_part_that_came_to_lie_between_two_objects_has_come_off_whichever_is_asked_about():
+    slid = moved(wall(0, 20), 66, 46)
+    for number in (0, 1):
+        assert named(21, walls(21) | slid, object_id=number).mode == "detachment", number
+
+
 def test_a_round_blob_as_large_as_a_part_is_stray_material():
     blob = cv2.circle(np.zeros(SHAPE, np.uint8), (66, 160), 27, 1, cv2.FILLED) > 0
     assert named(21, walls(21) | blob, object_id=0).mode == "stray_material"

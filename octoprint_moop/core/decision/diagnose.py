@@ -40,9 +40,9 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
     if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1):
         return _old_moved(scope, place)
     shift = scope.shift_above(lambda layer: place.covered(outcome.object_id, layer)[findings.window] > 0)
+    everything = Scope(WHOLE, findings, sight) if scope.has_others else scope
     if shift is None and scope.has_others:
         # axes that slip displace what is laid of all objects, and all of them together show it best
-        everything = Scope(WHOLE, findings, sight)
         shift = everything.newest_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
     lift = scope.lifted_corner(place)
     if lift and (shift is None or _plainer(lift, shift)):
@@ -57,10 +57,10 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
         if scope.unseen_ratio(since) > 0.8:
             return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since + 1}.")
         return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since + 1}.")
-    move = scope.moved_away(place)
-    if move:
-        return _come_off(move, place)
     if scope.stray_px:
+        move = everything.moved_away(place)  # what came off one object may lie between it and others
+        if move:
+            return _come_off(move, place)
         area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(sight.layer) / 2, findings)
         return Diagnosis(STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it.")
     return Diagnosis(UNKNOWN, "The print no longer looks as it should.")
