@@ -36,7 +36,8 @@ def read(name: str) -> list[dict[str, Any]]:
 
 def of_version(rows: list[dict[str, Any]], version: str | None = None) -> list[dict[str, Any]]:
     """The rows of one version of the rule; of the newest where none is named."""
-    return [row for row in rows if row["version"] == (version or max(row["version"] for row in rows))]
+    newest = max((row["version"] for row in rows), key=int)
+    return [row for row in rows if row["version"] == (version or newest)]
 
 
 def most_likely_at_most(events: int, trials: int) -> float:
@@ -80,7 +81,7 @@ def false_alarms(rows: list[dict[str, Any]]) -> str:
         return [name, len(some), judged, sum(row["unusable"] + row["moved"] for row in some), alarms,
                 f"{1e4 * alarms / max(judged, 1):.2g}", f"{1e4 * bound:.2g}", f"{100 * hundred:.1f} %"]  # fmt: skip
 
-    versions = sorted({row["version"] for row in rows})
+    versions = sorted({row["version"] for row in rows}, key=int)
     lines = [line(f"version {version}", [r for r in rows if r["version"] == version]) for version in versions]
     newest = of_version(rows)
     lines.append(

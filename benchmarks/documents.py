@@ -68,6 +68,7 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
         "rivals": lambda: detection.as_tables(rows("detection")),
         "fresh": lambda: detection.rules_table(rows("detection-fresh")),
         "traced": lambda: traced_score.table(rows("traced")),
+        "traced-fresh": lambda: traced_score.table(rows("traced-fresh")),
     },
     "faults.md": {
         "endurance": lambda: endurance.as_table(figures("endurance")),
