@@ -98,8 +98,8 @@ def test_what_the_page_tells_again_is_what_the_server_says():
     assert [text for text in sorted(known) if text not in everything] == []
     unsaid = {"The picture is not wanted any more.", "The picture came too late.", "The printer went on meanwhile."}
     for name in (
-        "core/decision/diagnose.py", "core/inspection.py", "core/view/usable.py", "core/view/view.py", "host/plugin.py",
-        "machine/ledger.py", "machine/looks.py", "machine/passing.py", "machine/webcam.py",
+        "core/checks.py", "core/decision/diagnose.py", "core/decision/telling.py", "core/view/usable.py", "core/view/view.py",
+        "host/plugin.py", "machine/ledger.py", "machine/looks.py", "machine/passing.py", "machine/webcam.py",
     ):  # fmt: skip
         spoken = {
             text

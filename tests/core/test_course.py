@@ -9,10 +9,10 @@ import pytest
 
 from octoprint_moop.core.checks import Check
 from octoprint_moop.core.decision.compare import Comparison
+from octoprint_moop.core.decision.counts import WHOLE, Evidence
 from octoprint_moop.core.decision.course import Course, Courses, Look
 from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, UNUSABLE, accept
 from octoprint_moop.core.decision.diagnose import Diagnosis
-from octoprint_moop.core.decision.evidence import WHOLE, Evidence
 from octoprint_moop.core.header import Moment
 
 TOTAL_PX = 20_000

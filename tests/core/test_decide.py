@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from octoprint_moop.core.decision.counts import WHOLE, Evidence
 from octoprint_moop.core.decision.decide import (
     CUSUM_FAILED,
     FAILED,
@@ -20,7 +21,6 @@ from octoprint_moop.core.decision.decide import (
     learn,
     pardon,
 )  # fmt: skip
-from octoprint_moop.core.decision.evidence import WHOLE, Evidence
 
 TOTAL_PX = 20_000
 LIMIT_PX = int(MATTER_LIMIT_RATIO * TOTAL_PX)

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from octoprint_moop.core.decision.counts import WHOLE
 from octoprint_moop.core.decision.decide import FAILED, Outcome, Surprise
 from octoprint_moop.core.decision.diagnose import diagnose
-from octoprint_moop.core.decision.evidence import WHOLE, find
+from octoprint_moop.core.decision.evidence import find
 
 from .stage import GROUND, LAYER_PX, PX_PER_MM, SHAPE, Stage, moved, wall, walls
 

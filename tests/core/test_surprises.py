@@ -6,6 +6,7 @@ from dataclasses import FrozenInstanceError, replace
 
 import pytest
 
+from octoprint_moop.core.decision.counts import WHOLE, Evidence
 from octoprint_moop.core.decision.decide import (
     FAILED,
     OK,
@@ -21,7 +22,6 @@ from octoprint_moop.core.decision.decide import (
     pardon,
     surprises,
 )
-from octoprint_moop.core.decision.evidence import WHOLE, Evidence
 
 NOTHING_NEW = ((0, 0),) * 4
 # of 20,000 px; the limit of lost and stray matter is 80 px

@@ -14,6 +14,7 @@ from typing import Any, Callable
 
 from ..header import Moment
 from .compare import Comparison
+from .counts import WHOLE, Evidence
 from .decide import (
     CAMERA_MOVED,
     CONFIRMED,
@@ -32,7 +33,6 @@ from .decide import (
     matter_limit,
 )
 from .diagnose import Diagnosis
-from .evidence import WHOLE, Evidence
 
 TEACHES = "medium"  # a frame in which the rule finds nothing at this sensitivity teaches what is usual
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}

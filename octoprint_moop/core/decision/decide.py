@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from statistics import median
 
-from .evidence import WINDOWS, Evidence
+from .counts import WINDOWS, Evidence
 
 OK, SUSPECT, FAILED, UNUSABLE, CAMERA_MOVED = "ok", "suspect", "failed", "unusable", "camera_moved"
 

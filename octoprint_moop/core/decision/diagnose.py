@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .counts import WHOLE
 from .decide import Outcome
-from .evidence import WHOLE, Findings, Sight
+from .evidence import Findings, Sight
 from .movements import OLD_MOVED_RATIO, Lift, Move, Place, Scope, middle_of
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"

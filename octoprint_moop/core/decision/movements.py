@@ -14,7 +14,8 @@ from typing import Callable, Protocol
 import cv2
 import numpy as np
 
-from .evidence import WHOLE, WINDOWS, Findings, Sight
+from .counts import WHOLE, WINDOWS
+from .evidence import Findings, Sight
 from .outlines import Beside, Likeness, best_place, displaced, filled
 from .spots import disc
 
@@ -42,7 +43,7 @@ OTHERS_LEAST_PX, OTHERS_MOVED_PX = 20, 6
 
 
 class Place(Protocol):
-    """What the diagnosis asks of the camera: core/view/view.py."""
+    """What the diagnosis asks of the camera: core/view/place.py."""
 
     def covered(self, object_id: int, first_layer: int) -> np.ndarray:
         """(H, W) uint8, 255 where what lies of that object (-1: of everything) from `first_layer` on would be seen alone."""

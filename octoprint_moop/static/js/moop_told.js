@@ -28,7 +28,7 @@
         N_("The printer does not report how far it is in its file (M27), so nobody can tell what to expect."),
         N_("The printer does not stand where the file of the same name and size here would have it: it prints another one. Upload that, or print from OctoPrint's own files."),
         N_("The printer went on while its picture was taken. With a bed that moves, such a picture cannot be judged: print from OctoPrint's own files."),
-        // core/inspection.py and core/view
+        // core/checks.py, core/decision/telling.py and core/view
         N_("Filament and bed look alike here: more light, or a bed of another colour, would help."),
         N_("Something stands in the view: a hand, or a tool?"),
         N_("The print is seen badly: so much of the picture is not as expected, good as it may be, that little could be told from it. Calibrate the camera anew, see that the lamp lights the print, or clear away what has the filament's colour."),
