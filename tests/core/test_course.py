@@ -168,6 +168,8 @@ def test_where_a_quarter_is_usually_not_as_expected_all_well_is_not_said_but_a_f
     assert [one.verdict for one in checks] == [OK] * 3 + [UNUSABLE] * 2
     assert "Calibrate the camera" in checks[-1].reason
     assert check(int(0.3 * TOTAL_PX), 9.0).verdict == FAILED
+    courses.begin_anew(accept)  # with what lies about, of which the user knows
+    assert [check(int(0.3 * TOTAL_PX)).verdict for _ in range(6)] == [OK] * 6
 
 
 def test_a_look_survives_json():

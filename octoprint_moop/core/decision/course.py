@@ -120,6 +120,7 @@ class Course:
         self._state = self._before = _State()
         self._last: tuple[Look, Ruling] | None = None
         self._shaken = False
+        self._went_on = False  # the user has, with things out of place: from then on E says nothing of how well is seen
         self._recent_blind: tuple[bool, ...] = ()
 
     def blind(self, verdict: str) -> None:
@@ -172,7 +173,7 @@ class Course:
                 errors = (*errors, look.comparison.error_ratio)[-GOOD_CHECKS:]
         taught = known and self._last is not None and self._last[1].teaches
         unlike = tracks[WHOLE].unlike
-        unlike_ratio = median(unlike) if len(unlike) >= FRESH_CHECKS else 0.0
+        unlike_ratio = 0.0 if self._went_on or len(unlike) < FRESH_CHECKS else median(unlike)
         ruling = Ruling(tuple(outcomes), worst, limit, teaches=not alarmed and not taught, unlike=unlike_ratio)
         self._state = _State(tracks, errors, failed)
         self._last = look, ruling
@@ -202,7 +203,7 @@ class Course:
         failed = self._state.failed or frozenset(self._state.tracks)
         tracks = {scope: (of if scope in failed else accept)(track) for scope, track in self._state.tracks.items()}
         self._state = self._before = _State(tracks, self._state.errors)
-        self._last = None
+        self._last, self._went_on = None, True
 
     def _limit(self, track: Track, comparison: Comparison | None) -> float:
         now = (comparison.error_ratio,) if comparison is not None else (0.0,)
