@@ -52,18 +52,30 @@ def test_what_lies_above_a_layer_and_is_displaced_is_a_layer_shift_with_its_dist
     )
 
 
-def test_a_first_shifted_layer_is_told_by_its_own_pattern_of_lines_though_perspective_has_stretched_it():
+def grid(across_px: int, along_px: int) -> np.ndarray:
+    """bool: a layer that is nothing but crossing lines of two pixels, so far apart."""
     lines = np.zeros(SHAPE, bool)
-    lines[130:170, 90:150:8] = lines[130:170, 91:151:8] = True
-    lines[130:170:19, 90:150] = lines[131:171:19, 90:150] = True
+    lines[130:170, 90:150:across_px] = lines[130:170, 91:151:across_px] = True
+    lines[130:170:along_px, 90:150] = lines[131:171:along_px, 90:150] = True
+    return lines
 
-    class OfLines(FlatPlace):
-        def covered(self, object_id: int, first_layer: int) -> np.ndarray:
-            return np.where(lines, np.uint8(255), np.uint8(0))
 
+class PlaceOf(FlatPlace):
+    """What lies of any layer on is these pixels."""
+
+    def __init__(self, pixels: np.ndarray, layer: int) -> None:
+        super().__init__(layer)
+        self._pixels = pixels
+
+    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
+        return np.where(self._pixels, np.uint8(255), np.uint8(0))
+
+
+def test_a_first_shifted_layer_is_told_by_its_own_pattern_of_lines_though_perspective_has_stretched_it():
+    lines = grid(8, 19)
     stretched = np.float32([[1.1, 0, -32 - 0.1 * 90], [0, 1.1, -0.1 * 150]])
     beside = cv2.warpAffine(lines.astype(np.uint8), stretched, SHAPE[::-1]) > 0
-    found = named(22, walls(22) | beside, place=OfLines(22))
+    found = named(22, walls(22) | beside, place=PlaceOf(lines, 22))
     assert found.mode == "layer_shift"
     assert "to the left" in found.sentence and millimetres(found.sentence) == pytest.approx(32 / PX_PER_MM, abs=0.6)
 
@@ -124,17 +136,10 @@ def test_a_shift_that_lays_one_objects_matter_beside_another_is_told_by_all_obje
 
 
 def test_a_first_shifted_layer_whose_lines_have_run_together_is_told_by_its_outline():
-    lines = np.zeros(SHAPE, bool)
-    lines[130:170, 90:150:6] = lines[130:170, 91:151:6] = True
-    lines[130:170:6, 90:150] = lines[131:171:6, 90:150] = True
-
-    class OfLines(FlatPlace):
-        def covered(self, object_id: int, first_layer: int) -> np.ndarray:
-            return np.where(lines, np.uint8(255), np.uint8(0))
-
+    lines = grid(6, 6)
     nearer = np.float32([[1.15, 0, -32 - 0.15 * 120], [0, 1.15, -0.15 * 150]])
     beside = cv2.warpAffine(cv2.dilate(lines.astype(np.uint8), np.ones((3, 3))), nearer, SHAPE[::-1]) > 0
-    found = named(22, walls(22) | beside, place=OfLines(22))
+    found = named(22, walls(22) | beside, place=PlaceOf(lines, 22))
     assert found.mode == "layer_shift"
     assert "to the left" in found.sentence and millimetres(found.sentence) == pytest.approx(32 / PX_PER_MM, abs=2.1)
 
