@@ -218,6 +218,32 @@ def test_a_browser_tab_in_the_background_asks_for_nothing_and_catches_up_when_it
     assert asked == []
 
 
+def test_an_answer_that_was_long_on_its_way_does_not_undo_what_was_told_meanwhile(
+    canned: Canned, open_tab: Open
+) -> None:
+    canned.print_of(*(check(layer) for layer in range(3)))
+    page = open_tab()
+    page.wait_for_function("ko.dataFor(document.getElementById('moop_watch')).view.checks().length === 3")
+    on_their_way: list[tuple[Any, Any]] = []
+    status, checks = dict(canned.status), {"checks": list(canned.checks)}
+    page.route("**/plugin/moop/status", lambda route: on_their_way.append((route, status)), times=1)
+    page.route("**/plugin/moop/checks", lambda route: on_their_way.append((route, checks)), times=1)
+    page.evaluate("void ko.dataFor(document.getElementById('moop_watch')).refresh()")
+    canned.print_of(*(check(layer) for layer in range(4)))
+    page.evaluate(
+        "messages => messages.forEach(message => "
+        "ko.dataFor(document.getElementById('moop_watch')).onDataUpdaterPluginMessage('moop', message))",
+        [{"type": "status", "status": canned.status}, {"type": "check", "check": check(3)}],
+    )
+    while len(on_their_way) < 2:
+        page.wait_for_timeout(20)
+    for route, answer in on_their_way:
+        route.fulfill(json=answer)
+    page.wait_for_function("$.active === 0")
+    assert page.evaluate("ko.dataFor(document.getElementById('moop_watch')).status().checks") == 4
+    assert page.evaluate("ko.dataFor(document.getElementById('moop_watch')).view.checks().length") == 4
+
+
 # --- a wire that breaks -----------------------------------------------------------------------------------------------
 
 

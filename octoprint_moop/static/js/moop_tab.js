@@ -22,6 +22,7 @@ $(function () {
         self.busy = ko.observable("");
         self.trouble = ko.observable("");
         self.cameraKnown = ko.observable(null); // null: not asked yet
+        self.told = {status: false, checks: []}; // by the server's messages, since it was last asked
         self.stale = ko.observableArray([]); // why the calibration may not hold any more
 
         // OctoPrint fills in the permissions after the view models are made, so they are looked up when asked
@@ -121,6 +122,9 @@ $(function () {
         self.addCheck = function (check) {
             const checks = self.view.checks();
             const last = checks[checks.length - 1];
+            if (_.isEqual(_.find(checks, {id: check.id}), check)) {
+                return; // both told and answered
+            }
             if (last && check.id <= last.id) { // checks are numbered from nought in each print
                 self.view.startOver();
                 self.view.checks([check]);
@@ -133,10 +137,13 @@ $(function () {
             if (!self.mayView()) {
                 return;
             }
+            const told = self.told = {status: false, checks: []}; // while the answers are on their way
             OctoPrint.plugins.moop.status()
                 .done(function (status) {
                     self.trouble("");
-                    self.takeStatus(status);
+                    if (told === self.told && !told.status) {
+                        self.takeStatus(status);
+                    }
                 })
                 .fail(self.tell);
             if (!self.visible()) {
@@ -151,8 +158,11 @@ $(function () {
             self.mesh.load();
             OctoPrint.plugins.moop.checks()
                 .done(function (answer) {
-                    self.view.checks(answer.checks);
-                    self.failure.drawPictures();
+                    if (told === self.told) {
+                        self.view.checks(answer.checks);
+                        told.checks.forEach(self.addCheck);
+                        self.failure.drawPictures();
+                    }
                 })
                 .fail(self.tell);
         };
@@ -200,8 +210,10 @@ $(function () {
                 return;
             }
             if (message.type === "status") {
+                self.told.status = true;
                 self.takeStatus(message.status);
             } else if (message.type === "check") {
+                self.told.checks.push(message.check);
                 self.addCheck(message.check);
             } else if (message.type === "failed" && words.failureStands(self.status())) { // not resumed meanwhile
                 self.failure.notify(message.check, message.action);
