@@ -77,6 +77,7 @@ def page(loaded_page: Any) -> Iterator[Any]:
     yield loaded_page
     loaded_page.evaluate(PUT_BACK)
     loaded_page.unroute_all(behavior="wait")
+    loaded_page.wait_for_function("$.active === 0")  # what the server itself answers now is not for the next test
     errors, loaded_page.console_errors = loaded_page.console_errors, []
     unexpected = [error for error in errors if not any(piece in error for piece in loaded_page.expected_errors)]
     assert not unexpected, "\n".join(unexpected)
