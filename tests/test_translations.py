@@ -107,7 +107,7 @@ def test_what_the_page_tells_again_is_what_the_server_says():
             if re.fullmatch(r"[A-Z{].* .*[.?!]", text) and "Prints are" not in text
         }
         elsewhere = {"See the checks, their pictures and the recordings.", "Set up printer geometry, camera and filament.",
-                     "Watch or not, check now, delete recordings."}  # fmt: skip
+                     "Watch or not, check now, try other settings on recordings, delete them."}  # fmt: skip
         assert spoken - known - unsaid - elsewhere == set(), name
 
 

@@ -99,9 +99,12 @@ class MoopPastApi(BlueprintPlugin):
         return flask.jsonify(done=0, of=0)
 
     @BlueprintPlugin.route("/recordings/<name>/replay", methods=["POST"])
-    @Permissions.PLUGIN_MOOP_VIEW.require(403)
+    @Permissions.PLUGIN_MOOP_CONTROL.require(403)
     def post_replay(self, name: str) -> Any:
-        """What would have happened with other settings. Body: settings by name; those not named are as they are now."""
+        """What would have happened with other settings. Body: settings by name; those not named are as they are now.
+
+        Looking anew takes minutes of the computer that feeds the printer, which not everybody who may look may spend.
+        """
         folder = self._recording(name)
         wanted = {key: read_value(key, value) for key, value in body().items()}
         values = {**{key: getattr(self._moop_settings, key) for key in DEFAULTS}, **wanted}

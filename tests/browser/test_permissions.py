@@ -9,7 +9,7 @@ import pytest
 
 from octoprint_moop.demo.server import DemoServer
 
-from .stage import log_in, show_tab
+from .stage import Canned, check, log_in, show_tab
 
 GUEST, PASSWORD = "onlooker", "only-looking"
 
@@ -49,6 +49,23 @@ def test_the_set_up_tells_an_onlooker_who_can_help(onlooker: Any) -> None:
     assert not onlooker.is_visible("[data-test-id=moop-step-camera]")
 
 
+def test_an_onlooker_sees_a_past_print_and_why_it_cannot_be_looked_at_anew(onlooker: Any) -> None:
+    canned = Canned(onlooker)
+    canned.checks = [check(3)]
+    canned.recordings = [{"name": "2026-11-01_10-00-00_job", "bytes": 10**6, "job": "a.gcode", "checks": 1, "verdict": "ok"}]
+    try:
+        onlooker.click("[data-test-id=moop-page-past]")
+        onlooker.click("[data-test-id=moop-past-open]")
+        onlooker.wait_for_selector("[data-test-id=moop-past-no-trial]:visible")
+        assert "who may control MOOP" in onlooker.inner_text("[data-test-id=moop-past-no-trial]")
+        for name in ("replay", "use", "sliders", "progress"):
+            assert not onlooker.is_visible(f"[data-test-id=moop-past-{name}]"), name
+        assert onlooker.is_visible("[data-test-id=moop-past-close]")
+        assert "a trial, below" not in onlooker.inner_text("#moop_past_opened")
+    finally:
+        onlooker.unroute_all(behavior="wait")
+
+
 def test_who_may_not_even_look_is_told_so_on_every_page(chromium: Any, server: DemoServer) -> None:
     group = {
         "key": "bare",
@@ -86,6 +103,7 @@ def test_who_may_not_even_look_is_told_so_on_every_page(chromium: Any, server: D
         "saveSetup({})",
         "deleteRecording('x')",
         "keepRecording('x', true)",
+        "replay('x', {})",
         "measureBedMotion({confirmed: true})",
         "useCalibration(1)",
         "revertCalibration()",

@@ -28,7 +28,9 @@
                 if (!check) {
                     return words.say("This print was not checked.");
                 }
-                return hasMasks || self.again() ? "" : words.say("What was seen and expected is drawn by a trial, below.");
+                return hasMasks || self.again() || !past.mayControl()
+                    ? ""
+                    : words.say("What was seen and expected is drawn by a trial, below.");
             }
         });
         self.outcome = ko.pureComputed(function () {
