@@ -111,6 +111,19 @@ def test_a_failure_is_announced_and_the_ticking_age_is_not(canned: Canned, open_
     )
 
 
+# --- past prints ------------------------------------------------------------------------------------------------------
+
+
+def test_the_slider_stands_at_the_check_that_is_shown(canned: Canned, open_tab: Open) -> None:
+    canned.recordings = past_prints("a.gcode")
+    canned.checks = [check(layer) for layer in range(5)]
+    page = open_tab()
+    open_past(page)
+    page.click("[data-test-id=moop-past-open]")
+    page.wait_for_selector("[data-test-id=moop-past-check]:has-text('Layer 5')")
+    assert page.input_value("[data-test-id=moop-past-layer]") == "4"
+
+
 # --- themes and screens -----------------------------------------------------------------------------------------------
 
 

@@ -19,6 +19,8 @@
         self.loading = ko.observable(false);
         self.note = ko.observable("");
 
+        // Hears of new checks before all that follows: a slider cuts its place off at the end that it knows.
+        self.last = ko.computed(function () { return Math.max(0, self.checks().length - 1); });
         self.selectedIndex = ko.pureComputed(function () {
             const id = self.selectedId();
             const checks = self.checks();
@@ -26,7 +28,6 @@
         });
         self.selected = ko.pureComputed(function () { return self.checks()[self.selectedIndex()] || null; });
         self.following = ko.pureComputed(function () { return self.selectedId() === null; });
-        self.last = ko.pureComputed(function () { return Math.max(0, self.checks().length - 1); });
         /* The place of the chosen check, for a slider. */
         self.index = ko.pureComputed({
             read: function () { return Math.max(0, self.selectedIndex()); },
