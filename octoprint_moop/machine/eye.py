@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import os
 
-# Before cv2 is imported: a small picture file that unfolds to gigabytes is refused, and cores are left to the server.
+# Before cv2 and NumPy are imported: a small picture file that unfolds to gigabytes is refused, and cores are left to
+# the server.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(30_000_000))
 os.environ.setdefault("OMP_NUM_THREADS", "2")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # our matrices are small: more threads only wait for each other
 
 import contextlib
 import errno
@@ -97,6 +99,7 @@ class Eye:
         bare_ends (positions at which nothing lies yet), bounds_mm, objects, cancel_commands, modes (each once) and mode_of
         (which of them holds at each of all these positions), notes, renderer.
         """
+        self._inspector = self._road = None  # the memory of two large prints at a time would be too much
         path = None if job is None else Path(job)
         road = find_road(path, None if mesh is None else MeshChoice.from_json(mesh), Path(cache), self._progress)
         toolpath = road.toolpath

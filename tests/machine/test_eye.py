@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from octoprint_moop.core.errors import MoopError
 from octoprint_moop.core.settings import DEFAULTS
 from octoprint_moop.machine.eye import Eye
 
@@ -36,5 +37,20 @@ def test_a_recording_that_cannot_be_read_costs_an_eye_its_lessons_and_not_the_wa
     try:
         told, _ = eye.open([], str(job), HEADER, DEFAULTS, str(tmp_path / "cache"), recording=str(recording))
         assert told["layers"] == 5 and any("learned again" in note for note in told["notes"])
+    finally:
+        eye.close()
+
+
+def test_a_print_that_cannot_be_opened_is_not_taken_for_the_one_before(tmp_path):
+    job = tmp_path / "job.gcode"
+    job.write_text(GCODE)
+    eye = Eye()
+    try:
+        eye.open([], str(job), HEADER, DEFAULTS, str(tmp_path / "cache"))
+        eye.pictures([])
+        with pytest.raises(MoopError):
+            eye.open([], str(tmp_path / "gone.gcode"), HEADER, DEFAULTS, str(tmp_path / "cache"))
+        with pytest.raises(MoopError, match="No print is being watched"):
+            eye.pictures([])
     finally:
         eye.close()
