@@ -286,7 +286,8 @@ class MoopPlugin(
         return [
             {"key": "VIEW", "name": "View", "description": "See the checks, their pictures and the recordings.",
              "roles": ["view"], "default_groups": [READONLY_GROUP, USER_GROUP]},
-            {"key": "CONTROL", "name": "Control", "description": "Watch or not, check now, try other settings on recordings, delete them.",
+            {"key": "CONTROL", "name": "Control",
+             "description": "Watch or not, check now, try other settings on recordings, delete them.",
              "roles": ["control"], "default_groups": [USER_GROUP]},
             {"key": "CALIBRATE", "name": "Calibrate", "description": "Set up printer geometry, camera and filament.",
              "roles": ["calibrate"], "dangerous": True, "default_groups": [ADMIN_GROUP]},

@@ -52,7 +52,9 @@ def test_the_set_up_tells_an_onlooker_who_can_help(onlooker: Any) -> None:
 def test_an_onlooker_sees_a_past_print_and_why_it_cannot_be_looked_at_anew(onlooker: Any) -> None:
     canned = Canned(onlooker)
     canned.checks = [check(3)]
-    canned.recordings = [{"name": "2026-11-01_10-00-00_job", "bytes": 10**6, "job": "a.gcode", "checks": 1, "verdict": "ok"}]
+    canned.recordings = [
+        {"name": "2026-11-01_10-00-00_job", "bytes": 10**6, "job": "a.gcode", "checks": 1, "verdict": "ok"}
+    ]
     try:
         onlooker.click("[data-test-id=moop-page-past]")
         onlooker.click("[data-test-id=moop-past-open]")

@@ -51,7 +51,9 @@ def test_who_may_only_look_can_change_nothing(room):
         answer = requests.request(
             method, f"{room.server.url}/plugin/moop{route}", json={}, timeout=10, headers={"X-Api-Key": key}
         )
-        changes = method in ("POST", "DELETE") and route != "/segment/preview"  # a replay changes nothing, and takes minutes
+        changes = (
+            method in ("POST", "DELETE") and route != "/segment/preview"
+        )  # a replay changes nothing, and takes minutes
         assert (answer.status_code == 403) == (changes or route.startswith("/calibrate")), (route, answer.text)
 
 
