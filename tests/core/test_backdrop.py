@@ -60,3 +60,24 @@ def test_a_gantry_spans_a_bed_whose_origin_is_in_its_middle(form):
     head = HeadModel.common(printer.width_mm, printer.bed_low_mm[0])
     found = hidden_by(head, (20.0, 10.0, 5.0), printer.bed, camera)
     assert (found != truth).mean() < 0.001
+
+
+def test_a_bed_that_reaches_behind_the_camera_is_followed(room):
+    """A camera that stands over the bed looks along it: two of the bed's corners lie behind it."""
+    camera, printer = camera_at((100, 60, 50), (100, 140, 0)), replace(CORNER, bed=BedMotion("z", (0, 0, 0)))
+    rng = np.random.default_rng(3)
+    spots_mm = np.column_stack([rng.uniform([20, 90], [180, 200], (60, 2)), np.zeros(60)])
+
+    def seen(z_mm: float) -> np.ndarray:
+        pixels = camera.project(spots_mm + (0, 0, -z_mm)).round().astype(int)
+        picture = np.full((480, 640, 3), 90, np.uint8)
+        for x, y in pixels.tolist():
+            cv2.circle(picture, (x, y), 6, (200, 210, 220), -1)
+        return picture
+
+    backdrop = moved(camera, printer, seen(0.0), (0, 0, 12.0))
+    assert np.count_nonzero(backdrop.unknown) < 0.2 * backdrop.unknown.size
+    known = cv2.resize(backdrop.unknown, (640, 480), interpolation=cv2.INTER_NEAREST) == 0
+    apart = np.abs(backdrop.picture().astype(int) - seen(12.0)).max(axis=2)
+    assert (apart[known] > 60).mean() < 0.01
+    assert (np.abs(seen(0.0).astype(int) - seen(12.0)).max(axis=2)[known] > 60).mean() > 0.02

@@ -16,7 +16,9 @@ from .stabilise import Stabiliser
 from .usable import Occluders
 
 SAME_POSE_MM = 0.5
-FAR = 100.0  # pictures
+FAR = 2.0  # pictures: what was seen further off is not seen now, and a lens bends it beyond measure
+GRID = (64, 48)  # rays over the picture, at which the bed is looked for
+FITTED = 200  # of the points where they meet it tell about so many how it has moved
 RIM_RATIO = 15 / 640  # of the picture's width
 
 
@@ -40,7 +42,10 @@ class Backdrop:
         self._small_bgr = Glance(reference_bgr).quarter
         self._reference_shift_mm = printer.bed.room_from_print_mm(position_mm)
         left, front = printer.bed_low_mm
-        bed_mm = ((left, front), (left + printer.width_mm, front + printer.depth_mm))
+        self._bed_mm = bed_mm = ((left, front), (left + printer.width_mm, front + printer.depth_mm))
+        grid_px = np.stack(np.meshgrid(*(np.arange(n) for n in GRID)), -1).reshape(-1, 2)
+        pixels = (grid_px + 0.5) * np.array(camera.image_size_px) / GRID - 0.5
+        self._rays_in_room = camera.rays(pixels) @ camera.camera_from_room[:3, :3]
         self.stabiliser = Stabiliser(camera, printer.bed, bed_mm, reference_bgr, position_mm, expected.complete)
         self.occluders = Occluders(self._small_bgr)
         self._show(self._reference_shift_mm, expected)
@@ -73,25 +78,14 @@ class Backdrop:
         everywhere = np.full((height, width), 255, np.uint8)
         if np.abs(shift_mm - self._reference_shift_mm).max() < SAME_POSE_MM:
             return reference_bgr, everywhere
-        left, front = self._printer.bed_low_mm
-        right, back = left + self._printer.width_mm, front + self._printer.depth_mm
-        corners_mm = np.array([[left, front, 0], [right, front, 0], [right, back, 0], [left, back, 0]], float)
-        size = np.array([width, height]) / self._camera.image_size_px
-        before_px, now_px = (
-            (self._camera.project(corners_mm + shift) + 0.5) * size - 0.5
-            for shift in (self._reference_shift_mm, shift_mm)
+        (bed_before, _), (bed_now, points_mm) = (
+            self._bed_seen(shift, (width, height)) for shift in (self._reference_shift_mm, shift_mm)
         )
-        if not (np.isfinite(before_px).all() and np.isfinite(now_px).all()):
-            return reference_bgr, np.zeros_like(everywhere)
-        motion = cv2.getPerspectiveTransform(before_px.astype(np.float32), now_px.astype(np.float32))
+        motion = self._motion(points_mm, shift_mm, (width, height))
+        if motion is None:
+            return reference_bgr, cv2.bitwise_not(cv2.bitwise_or(bed_now, bed_before))
         moved = cv2.warpPerspective(reference_bgr, motion, (width, height), borderMode=cv2.BORDER_REPLICATE)
         seen = cv2.warpPerspective(everywhere, motion, (width, height))
-        bed_before, bed_now = np.zeros_like(everywhere), np.zeros_like(everywhere)
-        for bed, corners_px in ((bed_before, before_px), (bed_now, now_px)):
-            far_px = FAR * max(
-                width, height
-            )  # a corner beside the camera is seen further off than pixels can be counted
-            cv2.fillConvexPoly(bed, corners_px.clip(-far_px, far_px).round().astype(np.int32), 255)
         picture = cv2.copyTo(moved, bed_now, reference_bgr.copy())
         # what the bed stood before is seen now for the first time, and its rim is a thing of its own
         known = np.where(bed_now > 0, seen, cv2.bitwise_not(bed_before))
@@ -99,3 +93,29 @@ class Backdrop:
         side = 2 * round(RIM_RATIO * width / 2) + 1
         rim = cv2.morphologyEx(beds, cv2.MORPH_GRADIENT, np.ones((side, side), np.uint8))
         return picture, cv2.bitwise_and(known, cv2.bitwise_not(rim))
+
+    def _bed_seen(self, shift_mm: np.ndarray, size_px: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Where the bed's surface is in the picture, (H, W) uint8, 0 or 255, and (n, 3) points of it that are seen.
+
+        Asked of the picture's pixels, since a bed's corners may lie beside a camera that stands near, or behind it.
+        """
+        centre_mm, (left_front_mm, right_back_mm) = self._camera.centre_mm, self._bed_mm
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = (shift_mm[2] - centre_mm[2]) / self._rays_in_room[:, 2]
+            points_mm = centre_mm + self._rays_in_room * depth[:, None] - shift_mm
+            on_bed = (depth > 0) & (points_mm[:, :2] >= left_front_mm).all(axis=1)
+            on_bed &= (points_mm[:, :2] <= right_back_mm).all(axis=1)
+        coarse = np.where(on_bed, np.uint8(255), np.uint8(0)).reshape(GRID[::-1])
+        bed = cv2.resize(coarse, size_px, interpolation=cv2.INTER_LINEAR)
+        return cv2.threshold(bed, 127, 255, cv2.THRESH_BINARY)[1], points_mm[on_bed]
+
+    def _motion(self, points_mm: np.ndarray, shift_mm: np.ndarray, size_px: tuple[int, int]) -> np.ndarray | None:
+        """(3, 3): where pixels of the reference's bed are now, fitted to where these points were seen and are; None where
+        too few were."""
+        few_mm = points_mm[:: max(len(points_mm) // FITTED, 1)]
+        size = np.array(size_px) / self._camera.image_size_px
+        before_px, now_px = (
+            (self._camera.project(few_mm + shift) + 0.5) * size - 0.5 for shift in (self._reference_shift_mm, shift_mm)
+        )
+        both = np.isfinite(before_px).all(axis=1) & (np.abs(before_px) < FAR * max(size_px)).all(axis=1)
+        return cv2.findHomography(before_px[both], now_px[both])[0] if np.count_nonzero(both) >= 4 else None
