@@ -6,7 +6,7 @@ import pytest
 
 from octoprint_moop.core.errors import FrameError
 from octoprint_moop.core.view.glance import Glance
-from octoprint_moop.core.view.usable import Occluders, is_still, refuse_unusable
+from octoprint_moop.core.view.usable import Occluders, Repeats, is_still, refuse_unusable
 
 
 @pytest.fixture
@@ -17,8 +17,10 @@ def frame() -> np.ndarray:
 
 
 def test_an_ordinary_frame_is_used(frame):
-    other = np.clip(frame.astype(int) + 1, 0, 255).astype(np.uint8)
-    refuse_unusable(frame, other)
+    repeats = Repeats()
+    for one in (frame, np.clip(frame.astype(int) + 1, 0, 255).astype(np.uint8), frame):
+        refuse_unusable(one)
+        repeats.refuse(one)
 
 
 @pytest.mark.parametrize(
@@ -31,19 +33,41 @@ def test_an_ordinary_frame_is_used(frame):
 )
 def test_a_frame_that_shows_nothing_is_refused_with_the_reason(frame, spoil, word):
     with pytest.raises(FrameError, match=word):
-        refuse_unusable(spoil(frame), None)
+        refuse_unusable(spoil(frame))
 
 
 def test_the_same_picture_twice_is_a_camera_that_hangs(frame):
+    repeats = Repeats()
+    repeats.refuse(frame)
+    for _ in range(2):
+        with pytest.raises(FrameError, match="same picture"):
+            repeats.refuse(frame.copy())
+
+
+def with_the_time(frame: np.ndarray, time: str) -> np.ndarray:
+    return cv2.putText(frame.copy(), time, (380, 460), cv2.FONT_HERSHEY_SIMPLEX, 1.0, (255, 255, 255), 2)
+
+
+def test_a_camera_that_hangs_while_its_clock_goes_on_delivers_the_same_picture(frame):
+    rng, repeats = np.random.default_rng(4), Repeats()
+    for minute in range(4):
+        live = np.clip(frame + rng.normal(0, 2, frame.shape), 0, 255).astype(np.uint8)
+        repeats.refuse(with_the_time(live, f"12:0{minute}:17"))
     with pytest.raises(FrameError, match="same picture"):
-        refuse_unusable(frame, frame.copy())
+        repeats.refuse(with_the_time(live, "12:04:17"))
+
+
+def test_a_camera_that_smooths_all_noise_away_is_not_taken_for_one_that_hangs(frame):
+    repeats = Repeats()
+    for minute in range(6):
+        repeats.refuse(with_the_time(frame, f"12:0{minute}:17"))
 
 
 def test_a_picture_cut_off_in_transfer_is_torn(frame):
     """JPEG decoders fill what never came with one value."""
     frame[300:] = 128
     with pytest.raises(FrameError, match="torn"):
-        refuse_unusable(frame, None)
+        refuse_unusable(frame)
 
 
 def small(picture: np.ndarray) -> np.ndarray:

@@ -14,10 +14,13 @@ COLOUR_STEP = 28
 STILL_APART, STILL_NEAR = 1, 3  # for how many frames more a thing must lie as it did to be part of the scene
 HIDES_PX = 5
 """How near to the print, in a glance's pixels, a thing may stand before it as well."""
+REPEATED_ROWS, REPEATED_RATIO, LIVE_RATIO, LIVE_FRAMES = 7, 0.9, 0.5, 2
+"""Every so many rows are compared to tell a live picture; the shares of a picture that are those of the last to the last
+bit: in one that was delivered again, and at most in live ones, of which so many pairs must have been seen."""
 REST_STEP, REST_RATIO = 20.0, 0.001  # grey levels, and the share of a picture at rest that may differ by more
 
 
-def refuse_unusable(frame_bgr: np.ndarray, previous_bgr: np.ndarray | None, glance: Glance | None = None) -> None:
+def refuse_unusable(frame_bgr: np.ndarray, glance: Glance | None = None) -> None:
     """Raises FrameError with the reason where nothing can be seen in the frame, (H, W, 3) uint8 BGR.
 
     glance : of the frame, where it is there already
@@ -31,8 +34,6 @@ def refuse_unusable(frame_bgr: np.ndarray, previous_bgr: np.ndarray | None, glan
         raise FrameError("The picture is white throughout. Lower the camera's exposure.")
     if cv2.meanStdDev(small)[1].max() < 2:
         raise FrameError("The picture shows nothing but one colour. Is something held before the lens?")
-    if previous_bgr is not None and previous_bgr.shape == frame_bgr.shape and _same(previous_bgr, frame_bgr):
-        raise FrameError("The camera delivers the same picture again. Restart the webcam's stream.")
     if _flat_rows(frame_bgr) > TORN_ROWS_RATIO * len(frame_bgr):
         raise FrameError("The picture is torn: its lower part is missing. Check the webcam's cable or network.")
 
@@ -47,9 +48,28 @@ def is_still(first_bgr: np.ndarray, second_bgr: np.ndarray) -> bool:
     return bool(np.count_nonzero(np.abs(change).max(axis=2) > REST_STEP) <= REST_RATIO * change[..., 0].size)
 
 
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two pictures are equal to the last bit; a few rows tell most of those that are not."""
-    return np.array_equal(a[::97], b[::97]) and np.array_equal(a, b)
+class Repeats:
+    """Refuses a picture that was delivered before. One of a live sensor never is another to the last bit, and hardly a pixel
+    of it is where there is noise; one that was delivered again may have had the time written over it since.
+
+    Cameras that smooth noise away repeat most of what stands still: in their pictures only one that repeats all is refused.
+    """
+
+    def __init__(self) -> None:
+        self._previous_bgr: np.ndarray | None = None
+        self._live_ratios: list[float] = []
+
+    def refuse(self, frame_bgr: np.ndarray) -> None:
+        """frame_bgr : (H, W, 3) uint8, in time order. Raises FrameError with the reason."""
+        previous_bgr, self._previous_bgr = self._previous_bgr, frame_bgr
+        if previous_bgr is None or previous_bgr.shape != frame_bgr.shape:
+            return
+        rows, others = frame_bgr[::REPEATED_ROWS], previous_bgr[::REPEATED_ROWS]
+        ratio = float((rows == others).all(axis=2).mean())
+        live = len(self._live_ratios) >= LIVE_FRAMES and max(self._live_ratios) < LIVE_RATIO
+        if (ratio == 1 and np.array_equal(frame_bgr, previous_bgr)) or (live and ratio > REPEATED_RATIO):
+            raise FrameError("The camera delivers the same picture again. Restart the webcam's stream.")
+        self._live_ratios = [*self._live_ratios, ratio][-LIVE_FRAMES:]
 
 
 def _flat_rows(frame_bgr: np.ndarray) -> int:

@@ -26,7 +26,7 @@ from .glance import Glance
 from .light import LightChange
 from .place import Place
 from .stabilise import STILL, CameraTurn, Stabiliser
-from .usable import refuse_unusable
+from .usable import Repeats, refuse_unusable
 from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
@@ -95,7 +95,7 @@ class View:
         self._bare_position_mm = printer.bed.reference_mm if reference_mm is None else reference_mm
         self._material, self._segmentation = material, segmentation
         self.clearance = Clearance(camera, printer.bed)
-        self._previous_bgr: np.ndarray | None = None
+        self._repeats = Repeats()
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
         self._backdrop: Backdrop | None = None
@@ -117,7 +117,7 @@ class View:
         for what the bed looks like there. Raises FrameError where the picture cannot be used.
         """
         frame_bgr = fit_frame(frame_bgr, self._camera)
-        refuse_unusable(frame_bgr, None)
+        refuse_unusable(frame_bgr)
         expected = self._expected.at(moment.file_pos, moment.position_mm, parked=moment.parked)
         head = expected.head[expected.surroundings]
         if cv2.countNonZero(head) > MOST_HIDDEN_RATIO * head.size or self._backdrop is not None:
@@ -213,8 +213,8 @@ class View:
         """Raises FrameError with the reason where the frame cannot be used."""
         whole_bgr = fit_frame(frame_bgr, self._camera)
         glance = Glance(whole_bgr)
-        refuse_unusable(whole_bgr, self._previous_bgr, glance)
-        self._previous_bgr = whole_bgr
+        refuse_unusable(whole_bgr, glance)
+        self._repeats.refuse(whole_bgr)
         expected = self.expected(moment)
         window = self._window_at(expected)
         backdrop = self._backdrop_at(whole_bgr, moment, expected)
