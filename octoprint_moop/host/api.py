@@ -93,7 +93,10 @@ class MoopApi(BlueprintPlugin):
     @BlueprintPlugin.route("/recordings/<name>", methods=["DELETE"])
     @Permissions.PLUGIN_MOOP_CONTROL.require(403)
     def delete_recording(self, name: str) -> Any:
-        recorder.remove(self._recording(name))
+        folder = self._recording(name)
+        if name == self._ledger.status["recording"]:
+            raise RecordingError("This recording is being written. It can be deleted when the print is over.")
+        recorder.remove(folder)
         return flask.jsonify({})
 
     def _recording(self, name: str) -> Path:

@@ -32,7 +32,7 @@ class Ledger:
         self._status: dict[str, Any] = {
             "watching": False, "blind": IDLE, "blind_code": blindness.IDLE, "job": None, "layer": None, "layers": None,
             "checks": 0, "last_check": None, "action": "none", "reason": "", "renderer": "", "road": "gcode",
-            "version": version, "held_s": 0.0, "reading": None,
+            "version": version, "held_s": 0.0, "reading": None, "recording": None, "not_recorded": "",
         }  # fmt: skip
 
     # --- read by anybody ------------------------------------------------------------------------------------------
@@ -72,7 +72,7 @@ class Ledger:
         self._checks_json = ()
         self.note(
             blind="The G-code is being read.", blind_code=blindness.READING, job=job, layer=None, layers=None, checks=0,
-            last_check=None, action="none", reason="", held_s=0.0,
+            last_check=None, action="none", reason="", held_s=0.0, recording=None, not_recorded="",
         )  # fmt: skip
 
     def idle(self) -> None:
@@ -81,6 +81,10 @@ class Ledger:
     def blind(self, code: str, why: str, **changes: Any) -> None:
         """Nobody is watching. code : one of `blindness`, or an error's own; why : a sentence"""
         self.note(blind=why, blind_code=code, **changes)
+
+    def recorded(self, name: str | None, why_not: str) -> None:
+        """As a Recorder tells it."""
+        self.note(recording=name, not_recorded=why_not)
 
     def note(self, **changes: Any) -> None:
         """Change some of the status, and tell. `blind` None, and nobody is blind any more."""

@@ -6,12 +6,14 @@ Apart from `recording.py`, which reads them, because the server writes and must 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import logging
 import os
 import re
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,9 +37,17 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 class Recorder:
     """Writes one print's recording. A disk that is full or broken ends the recording, never the watching."""
 
-    def __init__(self, root: Path, job_name: str, header: dict[str, Any], budget_bytes: int) -> None:
+    def __init__(
+        self,
+        root: Path,
+        job_name: str,
+        header: dict[str, Any],
+        budget_bytes: int,
+        tell: Callable[[str | None, str], None] = lambda name, why_not: None,
+    ) -> None:
+        """tell : called with the recording's name, None where nothing is written (any more), and why that is where it should"""
         self._root, self._budget_bytes = root, budget_bytes
-        self._header = header
+        self._header, self._tell = header, tell
         self._outcome: dict[str, Any] = {"job": job_name, "checks": 0, "verdict": "ok", "mode": None, "layer": None}
         self._frames = self._used_bytes = 0
         self.folder: Path | None = None
@@ -52,6 +62,7 @@ class Recorder:
             write_json(folder / "outcome.json", self._outcome)
             (folder / "frames.jsonl").touch()
             self.folder = folder
+            tell(folder.name, "")
         except OSError as error:
             self._give_up(error)
 
@@ -104,6 +115,7 @@ class Recorder:
                     self._outcome["bytes"] = _size(self.folder)
                 write_json(self.folder / "outcome.json", self._outcome)
                 self._make_room()
+                self._tell(None, "")
             except OSError as error:
                 self._give_up(error)
 
@@ -118,14 +130,20 @@ class Recorder:
         if not self._frames or self._used_bytes > self._budget_bytes:
             self._used_bytes = make_room(self._root, self._budget_bytes, keep=self.folder)
         if is_disk_full(self._root):
-            raise OSError("the disk is almost full")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def _give_up(self, error: OSError) -> None:
-        deleted = self.folder is not None and not self.folder.is_dir()  # by the user, who may: no cause for alarm
-        why = "its recording was deleted" if deleted else error.strerror or error
-        self.folder = None
-        self.trouble = f"This print is not recorded any more: {why}."
-        log.warning(self.trouble, exc_info=not deleted)
+        full = error.errno == errno.ENOSPC
+        deleted = self.folder is not None and isinstance(error, FileNotFoundError)  # by the user: no cause for alarm
+        why = "the disk is almost full" if full else "its recording was deleted" if deleted else error.strerror or error
+        told = f"This print is not recorded: {why}."
+        if self.folder is not None:
+            told = f"This print is not recorded any more: {why}."
+        if full:
+            told = f"{told} Make room, and the next print is recorded again."
+        self.folder, self.trouble = None, told
+        log.warning(told, exc_info=not (full or deleted))
+        self._tell(None, told)
 
 
 @dataclass(frozen=True)

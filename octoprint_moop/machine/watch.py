@@ -169,7 +169,8 @@ class Watch:
             return
         if self._settings.record:
             budget_bytes = self._settings.recordings_mb * 1_000_000
-            current.recorder = Recorder(self._recordings, job.name, current.header(self._settings), budget_bytes)
+            header, tell = current.header(self._settings), self._ledger.recorded
+            current.recorder = Recorder(self._recordings, job.name, header, budget_bytes, tell)
         self._open(current)
 
     def _open(self, current: Print, again: bool = False) -> None:

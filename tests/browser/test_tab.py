@@ -74,6 +74,19 @@ def test_a_failure_that_was_only_told_of_stands_while_the_print_goes_on(canned: 
     assert text(page, "state-text").startswith("Watching · layer 11")
 
 
+def test_a_print_that_is_not_recorded_any_more_says_so_beside_how_it_goes(canned: Canned, open_tab: Open) -> None:
+    why = (
+        "This print is not recorded any more: the disk is almost full. Make room, and the next print is recorded again."
+    )
+    canned.print_of(check(8), not_recorded=why)
+    page = open_tab()
+    assert page.inner_text("[data-test-id=moop-not-recorded]") == why
+    assert "Watching · layer 9" in page.inner_text("[data-test-id=moop-state-text]")
+    canned.status.update(not_recorded="")
+    push(page, {"type": "status", "status": canned.status})
+    page.wait_for_selector("[data-test-id=moop-not-recorded]", state="detached")
+
+
 def test_the_next_print_begins_with_an_empty_plot(canned: Canned, open_tab: Open) -> None:
     canned.print_of(*(check(layer) for layer in range(9)))
     page = open_tab()

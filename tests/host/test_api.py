@@ -179,6 +179,18 @@ def test_each_watched_print_leaves_a_recording_that_can_be_replayed_and_fetched(
     assert kept["name"] not in [r["name"] for r in room.moop("GET", "recordings")["recordings"]]
 
 
+def test_the_recording_of_the_print_that_runs_is_not_deleted_under_it(room):
+    room.print(box_gcode(layers=3, feed_mm_min=SLOWLY))
+    name = room.wait("recorded", lambda: room.status["recording"])
+    refused = room.server.request("DELETE", f"/plugin/moop/recordings/{name}")
+    assert (refused.status_code, refused.json()["code"]) == (400, "recording")
+    assert "when the print is over" in refused.json()["message"]
+    room.wait_done()
+    room.wait("ended", lambda: room.status["recording"] is None)
+    assert len(room.moop("GET", f"recordings/{name}/checks")["checks"]) == 3
+    room.moop("DELETE", f"recordings/{name}")
+
+
 @pytest.mark.parametrize("name", ["..", "../data", ".hidden", "%2e%2e", "x/y"])
 def test_no_name_leads_out_of_the_recordings(room, name):
     assert room.server.request("DELETE", f"/plugin/moop/recordings/{name}").status_code in (400, 404, 405)

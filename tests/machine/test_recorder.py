@@ -113,6 +113,35 @@ def test_a_disk_that_fails_in_mid_print_ends_the_recording_and_nothing_else(tmp_
     assert json.loads((folder / "outcome.json").read_text())["verdict"] == "ok"
 
 
+def test_what_is_recorded_and_why_no_more_is_told_as_it_happens(tmp_path, monkeypatch):
+    told = []
+    recorder = Recorder(tmp_path, "cube", HEADER, 10**9, lambda *said: told.append(said))
+    assert told == [(recorder.folder.name, "")]
+    monkeypatch.setattr(recorders, "SPARE_BYTES", 10**18)
+    for n in range(50):
+        recorder.add(b"x", moment(n), check())
+    full = "the disk is almost full. Make room, and the next print is recorded again."
+    assert told[1:] == [(None, f"This print is not recorded any more: {full}")]
+    recorder.end("done")
+    Recorder(tmp_path, "cube", HEADER, 10**9, lambda *said: told.append(said))
+    assert told[2:] == [(None, f"This print is not recorded: {full}")]
+
+
+def test_the_end_of_a_recording_is_told(tmp_path):
+    told = []
+    recorder = Recorder(tmp_path, "cube", HEADER, 10**9, lambda *said: told.append(said))
+    recorder.end("done")
+    assert told[1:] == [(None, "")]
+
+
+def test_a_recording_of_which_a_part_is_deleted_already_is_told_without_a_traceback(tmp_path, caplog):
+    recorder = Recorder(tmp_path, "cube", HEADER, 10**9)
+    (recorder.folder / "frames").rmdir()
+    recorder.add(b"x", moment(0), check())
+    assert "its recording was deleted" in recorder.trouble
+    assert caplog.records and not any(record.exc_info for record in caplog.records)
+
+
 def test_deleting_the_recording_that_is_being_written_ends_it_and_is_told_without_a_traceback(tmp_path, caplog):
     recorder = Recorder(tmp_path, "cube", HEADER, 10**9)
     recorder.add(b"x", moment(0), check())

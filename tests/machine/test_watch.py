@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 import threading
 from dataclasses import replace
 
 import pytest
 
 from octoprint_moop.core.errors import GcodeError
-from octoprint_moop.machine import clock, watch
+from octoprint_moop.machine import clock, recorder, watch
 from octoprint_moop.machine.jobs import Job
 from octoprint_moop.machine.webcam import Webcam
 
@@ -96,6 +98,27 @@ def test_a_connection_that_could_not_be_held_is_not_held_against_the_next_print(
     endless.watch.holds.line_queuing("G1 X1", 50)
     threading.Event().wait(0.2)
     assert endless.ledger.status["watching"]
+    endless.watch.job_over("done")
+
+
+def test_a_disk_that_fills_up_in_mid_print_is_told_until_the_next_print_begins(endless, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    endless.watch.apply(replace(endless.watch._settings, record=True))
+    begin(endless, tmp_path)
+    name = endless.ledger.status["recording"]
+    assert (tmp_path / "recordings" / name).is_dir() and endless.ledger.status["not_recorded"] == ""
+    monkeypatch.setattr(recorder, "_append", full)
+    assert endless.comes_by(100)
+    endless.wait(lambda: endless.ledger.status["not_recorded"])
+    assert endless.ledger.status["recording"] is None and endless.ledger.status["watching"]
+    endless.watch.job_over("done")
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "idle")
+    assert "not recorded any more: the disk is almost full" in endless.ledger.status["not_recorded"]
+    endless.watch.apply(replace(endless.watch._settings, record=False))
+    begin(endless, tmp_path)
+    assert endless.ledger.status["not_recorded"] == ""
     endless.watch.job_over("done")
 
 

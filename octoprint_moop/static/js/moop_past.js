@@ -86,10 +86,14 @@ $(function () {
                 proceed: words.say("Delete it"),
                 proceedClass: "danger",
                 onproceed: function () {
-                    OctoPrint.plugins.moop.deleteRecording(row.name).done(self.load).fail(self.tell);
-                    if (self.opened.row() && self.opened.row().name === row.name) {
-                        self.opened.close();
-                    }
+                    OctoPrint.plugins.moop.deleteRecording(row.name)
+                        .done(function () {
+                            self.load();
+                            if (self.opened.row() && self.opened.row().name === row.name) {
+                                self.opened.close();
+                            }
+                        })
+                        .fail(self.tell);
                 }
             });
         };

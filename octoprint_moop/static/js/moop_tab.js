@@ -76,6 +76,9 @@ $(function () {
         self.stateIcon = ko.pureComputed(function () { return ICONS[self.state().level]; });
         self.renderer = ko.pureComputed(function () { return self.status() ? self.status().renderer : ""; });
         self.timeAdded = ko.pureComputed(function () { return words.timeAdded(self.status()); });
+        self.notRecorded = ko.pureComputed(function () {
+            return self.status() ? words.retold(self.status().not_recorded) : "";
+        });
         self.selectedReason = ko.pureComputed(function () {
             const check = self.view.selected();
             const told = check && self.failure.check() && check.layer === self.failure.check().layer; // in the box above

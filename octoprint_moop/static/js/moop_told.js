@@ -52,6 +52,11 @@
         N_("The webcam's picture breaks off after %(bytes)s bytes. Look at its stream."),
         N_("OctoPrint has %(webcam)s. Choose one in the settings."),
         N_("%(webcam)s can take no snapshots. Set its snapshot address in OctoPrint."),
+        // machine/recorder.py, host/api.py
+        N_("This print is not recorded: %(why)s."),
+        N_("This print is not recorded any more: %(why)s."),
+        N_("Make room, and the next print is recorded again."),
+        N_("This recording is being written. It can be deleted when the print is over."),
         // machine/watch.py, ledger.py, link.py, responding.py, host/plugin.py
         N_("No print is running."),
         N_("No print is being watched just now. Start one, then look again."),
@@ -89,15 +94,19 @@
         N_("right"), N_("left"), N_("back"), N_("front"),
         N_("right side"), N_("left side"), N_("back side"), N_("front side"),
         N_("back-right corner"), N_("back-left corner"), N_("front-right corner"), N_("front-left corner"),
-        N_("no webcam"), N_("no webcam named %(name)s")
+        N_("no webcam"), N_("no webcam named %(name)s"),
+        N_("the disk is almost full"), N_("its recording was deleted")
     ];
 
-    /* {text, names, form} of a pattern; form is anchored and has one group for each name. */
+    /*
+     * {text, names, form} of a pattern; form is anchored and has one group for each name. A value that ends a sentence
+     * ends with it: what follows is told by itself.
+     */
     function compiled(text) {
         const names = [];
-        const form = text.replace(/[.*+?^${}()|[\]\\]/g, "\\$&").replace(/%\\\((\w+)\\\)s/g, function (_match, name) {
+        const form = text.replace(/[.*+?^${}()|[\]\\]/g, "\\$&").replace(/%\\\((\w+)\\\)s(\\\.(?= |$))?/g, function (_match, name, stop) {
             names.push(name);
-            return "(.+?)";
+            return stop ? "((?:(?![.?!] ).)+?)" + stop : "(.+?)";
         });
         return {text: text, names: names, form: new RegExp("^" + form + "$")};
     }

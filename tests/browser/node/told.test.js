@@ -29,6 +29,17 @@ test("each sentence is told by itself, and several that belong together as one",
     );
 });
 
+test("a value at the end of a sentence does not take in the next one", () => {
+    assert.strictEqual(
+        told.retell("Everything above layer 3 is shifted by about 2 mm to the left. No second picture confirms it.", marked),
+        "[Everything above layer 3 is shifted by about [2 mm to the [left]].] [No second picture confirms it.]"
+    );
+    assert.strictEqual(
+        told.retell("This print is not recorded any more: the disk is almost full. Make room, and the next print is recorded again.", marked),
+        "[This print is not recorded any more: [the disk is almost full].] [Make room, and the next print is recorded again.]"
+    );
+});
+
 test("what is not known stays as the server says it, and what is known beside it is told", () => {
     assert.strictEqual(told.retell("A new thing: it broke (why? no idea).", marked), "A new thing: it broke (why? no idea).");
     assert.strictEqual(told.retell("Something else happened. It is being started again.", marked), "Something else happened. [It is being started again.]");
