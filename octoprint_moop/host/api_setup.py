@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import shutil
 import tempfile
@@ -46,7 +47,7 @@ class MoopSetupApi(BlueprintPlugin):
     _lens_found: dict[int, dict[str, Any]]
     _lens_webcam: str
     _lens_last: bytes
-    _marked_model: bytes
+    _marked_model: Path
     _pose_picture: bytes
     _pose_position_mm: tuple[float, float, float] | None
     _bench_lock: threading.Lock
@@ -85,6 +86,8 @@ class MoopSetupApi(BlueprintPlugin):
             self.on_settings_save(dict(zip(MATERIAL, values)))
             self._settings.save(trigger_event=True)
             changed.append("material")
+        if how in ("pose", "points"):  # the camera's place is known: what was made to find it may go
+            self._forget_marked_model()
         return flask.jsonify(changed=changed, profile=profile, webcam=webcam)
 
     # --- pictures and colour --------------------------------------------------------------------------------------
@@ -137,19 +140,28 @@ class MoopSetupApi(BlueprintPlugin):
             made, blobs = self._bench_eye.ask(
                 "markers_around", timeout_s=LONG_S, printer=self._printer_geometry(), model=str(model)
             )
-        self._marked_model = blobs[0]
+        try:
+            self._marked_model.parent.mkdir(parents=True, exist_ok=True)
+            self._marked_model.write_bytes(blobs[0])
+        except OSError as error:
+            raise CalibrationError(f"There is no room for the model with markers: {error.strerror or error}.") from None
         self._found.put("markers", "", made["markers"])
         return flask.jsonify(markers=made["markers"], bytes=len(blobs[0]))
 
     @BlueprintPlugin.route("/calibrate/markers/model.stl", methods=["GET"])
     @Permissions.PLUGIN_MOOP_CALIBRATE.require(403)
     def get_markers_model(self) -> Any:
-        """The model with markers that was made last."""
-        if not self._marked_model:
-            flask.abort(404, "No model with markers was made since the server started.")
-        response = picture_response(self._marked_model, "model/stl")
+        """The model with markers that was made last, until the camera's place is kept."""
+        try:
+            response = picture_response(self._marked_model.read_bytes(), "model/stl")
+        except FileNotFoundError:
+            flask.abort(404, "There is no model with markers any more. Make it anew.")
         response.headers["Content-Disposition"] = 'attachment; filename="model-with-markers.stl"'
         return response
+
+    def _forget_marked_model(self) -> None:
+        with contextlib.suppress(OSError):  # it is written over the next time
+            self._marked_model.unlink()
 
     # --- the lens -------------------------------------------------------------------------------------------------
 

@@ -59,7 +59,9 @@ class MoopPlugin(
         self._lens_pictures: dict[int, bytes] = {}
         self._lens_found: dict[int, dict[str, Any]] = {}
         self._lens_webcam = ""
-        self._lens_last = self._marked_model = b""
+        self._lens_last = b""
+        self._marked_model = data / "cache" / "model-with-markers.stl"
+        self._forget_marked_model()  # of a set-up that nobody ended
         self._pose_picture, self._pose_position_mm = b"", None
         self._bench_lock, self._bed_lock = threading.Lock(), threading.Lock()
         self._meshes, self._meshes_lock = Meshes(data / "meshes"), threading.Lock()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.view.orientation import Orientation
@@ -46,6 +47,17 @@ def test_the_marker_plate_lies_among_the_files_and_can_be_printed(room):
     assert ([x0, y0] < centres.min(axis=0)).all() and ([x1, y1] > centres.max(axis=0)).all()
     answer = room.server.request("POST", "/plugin/moop/calibrate/markers", json={"height_mm": 99})
     assert answer.status_code == 400 and "height_mm" in answer.json()["message"]
+
+
+def test_a_model_with_markers_is_kept_until_the_cameras_place_is(room):
+    cube = trimesh.creation.box(extents=(20, 20, 20)).export(file_type="stl")
+    made = room.server.request("POST", "/plugin/moop/calibrate/markers/model", files={"file": ("cube.stl", cube)})
+    marked = room.server.request("GET", "/plugin/moop/calibrate/markers/model.stl")
+    assert len(marked.content) == made.json()["bytes"] > len(cube)
+    room.moop("POST", "setup", json={**header(), "how": "points"})
+    gone = room.server.request("GET", "/plugin/moop/calibrate/markers/model.stl")
+    assert gone.status_code == 404 and "Make it anew" in gone.text
+    assert not list(room.server.basedir.rglob("model-with-markers.stl"))
 
 
 def test_the_cameras_place_is_found_from_clicked_points(room):

@@ -169,6 +169,7 @@
                 .done(function () {
                     self.found(null);
                     self.name("");
+                    self.marked("");
                 })
                 .fail(setup.tell);
         };
