@@ -82,7 +82,11 @@ class Settings:
     )
     sensitivity: str = choice("medium", SENSITIVITIES, "How little must be wrong for an alarm.")
 
-    webcam: str = text("", "Name of the webcam to look through; empty for OctoPrint's snapshot webcam.")
+    webcam: str = text(
+        "",
+        "Name of the webcam to look through; empty for OctoPrint's snapshot webcam. "
+        "A print that runs keeps the one that it began with.",
+    )
     capture: str = choice(
         "stand", CAPTURES,
         "Where the head is when a picture is taken: left as it stands, or moved out of the picture where it stands over "
@@ -116,7 +120,7 @@ class Settings:
         "{low_mm, high_mm} around the nozzle, and `gantry`, one box or null. Empty for a common one.",
     )
 
-    record: bool = switch(True, "Keep a recording of each watched print.")
+    record: bool = switch(True, "Keep a recording of each watched print, from its start.")
     recordings_mb: int = number(1000, 10, 1_000_000, "MB", "Room for recordings; the oldest go first, alarms last.")
 
 

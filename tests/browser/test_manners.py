@@ -124,6 +124,23 @@ def test_the_slider_stands_at_the_check_that_is_shown(canned: Canned, open_tab: 
     assert page.input_value("[data-test-id=moop-past-layer]") == "4"
 
 
+# --- the set-up, in mid-print -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("printing", [False, True])
+def test_what_is_kept_while_something_prints_is_said_to_hold_from_the_next_print_on(
+    canned: Canned, open_tab: Open, printing: bool
+) -> None:
+    if printing:
+        canned.print_of(check(3))
+    page = open_tab()
+    open_setup(page, "bed")
+    page.click("[data-test-id=moop-bed-z]")
+    page.click("[data-test-id=moop-keep-bed]")
+    page.wait_for_selector("[data-test-id=moop-setup-saved]:has-text('How the bed moves is kept.')")
+    assert ("from the next one on" in page.inner_text("[data-test-id=moop-setup-saved]")) == printing
+
+
 # --- themes and screens -----------------------------------------------------------------------------------------------
 
 

@@ -81,6 +81,13 @@ $(function () {
                 .fail(self.tell);
         };
 
+        /* A print keeps the calibration that it began with: whoever keeps another meanwhile is told. */
+        self.fromNextPrint = function (told) {
+            return self.printerState.isBusy()
+                ? told + " " + words.say("The print that runs keeps what it began with; this holds from the next one on.")
+                : told;
+        };
+
         /* Takes parts of a header over on the server; `told` is the sentence for the person. */
         self.keep = function (parts, told) {
             self.busy("save");
@@ -89,7 +96,7 @@ $(function () {
             return OctoPrint.plugins.moop.saveSetup(header)
                 .done(function () {
                     self.trouble("");
-                    self.saved(told);
+                    self.saved(self.fromNextPrint(told));
                     self.load();
                     self.kept.load();
                 })

@@ -62,7 +62,7 @@
                     OctoPrint.plugins.moop.saveSetup(header)
                         .done(function () {
                             setup.trouble("");
-                            setup.saved(words.say("The calibration in the file is used from now on."));
+                            setup.saved(setup.fromNextPrint(words.say("The calibration in the file is used from now on.")));
                             self.load();
                             setup.load().done(function () { setup.place.showGuides(); });
                         })
@@ -86,7 +86,7 @@
         const setup = this.setup;
         this.take(request).done(function () {
             setup.trouble("");
-            setup.saved(told);
+            setup.saved(setup.fromNextPrint(told));
             setup.load().done(function () { setup.place.showGuides(); });
         });
     };
