@@ -188,3 +188,23 @@ def test_a_foot_laid_bare_all_the_way_up_that_sticks_out_at_the_other_end_has_co
     matter[GROUND - 44 : GROUND, 150:155] = True
     found = named(21, matter, object_id=0)
     assert found.mode == "detachment" and millimetres(found.sentence) == pytest.approx(5 / PX_PER_MM, abs=0.3)
+
+
+def test_a_shift_within_the_band_about_edges_is_told_by_what_sticks_out_and_what_is_bared():
+    matter = walls(17) | moved(wall(0, 23, 18) | wall(1, 23, 18), 2, 0)
+    for object_id in (WHOLE, 0, 1):
+        found = named(23, matter, object_id, good_upto=17)
+        assert found.mode == "layer_shift", object_id
+        assert "right" in found.sentence and millimetres(found.sentence) == pytest.approx(2 / PX_PER_MM, abs=0.3)
+
+
+def test_where_newest_layers_are_missing_and_nothing_sticks_out_there_is_no_shift_however_well_one_would_hide_them():
+    assert named(23, walls(20), good_upto=20).mode == "extrusion_failure"
+
+
+def test_a_print_that_lies_askew_amid_strands_has_come_off_since_no_corner_that_lifts_would_leave_it_so():
+    turn = cv2.getRotationMatrix2D((120, 158), 12, 1.0)
+    matter = wall(1, 21) | (cv2.warpAffine(wall(0, 21).astype(np.uint8), turn, SHAPE[::-1]) > 0)
+    for row in range(GROUND - 50, GROUND + 30, 9):
+        matter[row : row + 2, 60:88] = True
+    assert named(21, matter, object_id=0).mode == "detachment"

@@ -16,12 +16,13 @@ import numpy as np
 from .counts import WHOLE
 from .decide import Outcome
 from .evidence import Findings, Sight
-from .movements import OLD_MOVED_RATIO, Lift, Move, Place, Scope, middle_of
+from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Place, Scope, middle_of
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
 
 GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays bare
+HARDLY_RISEN_RATIO = 0.3  # of the difference; where no lift explains more, nothing has risen
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
 LEAST_MOVE_PX = 2.0
 PLAUSIBLE, MUCH_SHORTER = 0.2, 0.6  # of two movements that explain as much but for this, a much shorter one is taken
@@ -45,6 +46,8 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
     if shift is None and scope.has_others:
         # axes that slip displace what is laid of all objects, and all of them together show it best
         shift = everything.newest_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
+    if shift is None:
+        shift = everything.slightly_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
     lift = scope.lifted_corner(place)
     if lift and (shift is None or _plainer(lift, shift)):
         return _lifted(lift, scope, place)
@@ -82,14 +85,16 @@ def _old_moved(scope: Scope, place: Place) -> Diagnosis:
     gone = scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1)
     if gone and scope.stray_px < 0.15 * scope.lost_px:
         return Diagnosis(DETACHMENT, "The print is gone from its place.")
-    lift = scope.lifted_corner(place)
+    best_lift = scope.lifted_corner(place, -np.inf)
+    lift = best_lift if best_lift and best_lift.explained_ratio >= EXPLAINED_RATIO else None
     move = scope.moved_whole(LEAST_MOVE_PX)
     if move and lift and not gone and lift.explained_ratio > move.explained_ratio - PLAUSIBLE:
         return _lifted(lift, scope, place)
     move = move or (None if gone or lift else scope.moved_away(place))
     if move:
         return _come_off(move, place)
-    if gone:
+    # a corner that has lifted under strands is still told by a part of what differs
+    if gone or (best_lift and best_lift.explained_ratio < HARDLY_RISEN_RATIO):
         return Diagnosis(DETACHMENT, "The print has come off.")
     corner, lift_px = scope.bared()
     at = np.array([corner, (corner[0] + 1.0, corner[1])])

@@ -81,11 +81,11 @@ class Findings:
     All pictures are bool, of the shape of `window`: rows and columns of the expected mask about the print.
 
     wanted : expected now; look : (3, h, w) uint8, the frame aligned, as the memory keeps it; seen, known : observed, and
-    what can be said anything of, aligned; standing : matter seen in earlier checks; lost, stray : see the module;
-    unseen : fresh matter of the last layers that is not seen; hidden_px : so much of what stood there looks neither like
-    matter nor like the bare bed now; untold_px : a good part of what stood is not seen, so much of it, and nothing bears out
-    that it has gone, 0 where less; loose : matter that has grown from what the user went on with; moved_px : by how much
-    the whole picture has just moved
+    what can be said anything of, aligned; standing : matter seen in earlier checks; lost, stray : see the module; rim : as
+    stray, within the band about expected edges; unseen : fresh matter of the last layers that is not seen; hidden_px : so
+    much of what stood there looks neither like matter nor like the bare bed now; untold_px : a good part of what stood is
+    not seen, so much of it, and nothing bears out that it has gone, 0 where less; loose : matter that has grown from what
+    the user went on with; moved_px : by how much the whole picture has just moved
     """
 
     window: Window
@@ -96,6 +96,7 @@ class Findings:
     standing: np.ndarray
     lost: np.ndarray
     stray: np.ndarray
+    rim: np.ndarray
     unseen: np.ndarray
     hidden_px: int
     untold_px: int
@@ -266,7 +267,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         sight, window, wanted, observed, known, standing, lost, stray, rim, later, missed, deep, barren, inside
     )
     return Findings(
-        window, wanted, look, observed, known, standing, lost, stray, unseen, hidden_px, untold_px, scopes, loose
+        window, wanted, look, observed, known, standing, lost, stray, rim, unseen, hidden_px, untold_px, scopes, loose
     )
 
 

@@ -34,6 +34,8 @@ OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the 
 LEAST_PART_PX = 20
 LIKE_RATIO = 0.84  # from which on what lies beside the print is the newest layers' own pattern
 BOTH_RATIO, AGREE_PX = 0.87, 4.5  # the same of the mean of pattern and outline, where they agree
+SLIGHT_RATIO, SLIGHT_REACH_PX, SLIGHT_LEAST_PX = 0.7, 12, 30  # the same within the band about expected edges; there must be
+SLIGHT_OUT_RATIO, SLIGHT_OUT_LEAST_PX = 0.12, 15  # so much of it beside the print, and most of what would lie there
 AWAY_RATIO, AWAY_LEAST_PX = 0.88, 60  # the same for a part that came off
 OUT_RATIO = 0.15  # of that part at least so much sticks out
 AWAY_APART_PX, SKIRT_PX = 1.5, 3.0  # contours' mean distance; what is thinner lies flat, and other things upon it
@@ -97,6 +99,8 @@ class Scope:
         self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
         self._lost, self._unseen = findings.lost & inside, findings.unseen & inside
         self.stray = findings.stray & around
+        self._beyond = self.stray | (findings.rim & around)
+        self._observed = findings.seen & findings.known
         # what is seen, cleaned: the expected mask but for what is worth a word; nothing of the neighbours
         self._seen = (self._wanted & ~self._lost & ~self._unseen) | self.stray
         self._foreign = (findings.wanted | (findings.seen & ~around)) & ~self._wanted & ~self.stray
@@ -174,7 +178,7 @@ class Scope:
         moves: list[Move] = []
         for back in LAYERS_BACK:
             layer = self._layer - back
-            if layer < 1 or self.stray_px < 0.2 * self.wrong_px:
+            if layer < 1 or not self.stray_px or self.stray_px < 0.2 * self.wrong_px:
                 break
             lower = self._wanted & (self._layer_of < layer)
             move = self._best_move(covered(layer), lower)
@@ -216,6 +220,42 @@ class Scope:
                 best = Move(tuple(middle), to_px, max(lines.ratio, both), at.told_ratio, layer)
         return best
 
+    def slightly_shifted(self, covered: Callable[[int], np.ndarray]) -> Move | None:
+        """From which layer on everything is displaced by hardly more than the band about expected edges; None where nothing
+        tells that.
+
+        All that differs along the edges has a say: what sticks out on one side, and what is not seen of the newest layers on
+        the other. A clog leaves nothing beside the print, strands and halos bare nothing.
+        """
+        newest = self._wanted & self._known & (self._layer_of > self._layer - WINDOWS[-1]) & (self._layer_of > 0)
+        differs = self._beyond | (newest & ~self._observed)
+        if np.count_nonzero(differs) < SLIGHT_LEAST_PX or self.lost_px >= OLD_MOVED_RATIO * np.count_nonzero(differs):
+            return None
+        free = self._known & ~self._foreign & (cv2.dilate(self._wanted.view(np.uint8), disc(1)) == 0)
+        near, best = cv2.dilate(differs.view(np.uint8), disc(1)) > 0, None
+        for layer in (self._layer - back for back in LAYERS_BACK):
+            part = covered(layer) & ~self._foreign
+            if layer < 1 or np.count_nonzero(part) < LEAST_PART_PX:
+                continue
+            above = newest & (self._layer_of >= layer)
+            pays = (self._beyond | (above & self._observed)).astype(np.float32)
+            pays -= (free & ~self._beyond) | (above & ~self._observed)
+            offset_px = best_place(part, pays, round(SLIGHT_REACH_PX * self._finer))
+            there = displaced(part, offset_px)
+            out, told = there & free, cv2.dilate(there.view(np.uint8), disc(1)) > 0
+            would_differ = out | (above & ~there)
+            hits = np.count_nonzero(would_differ & near)
+            explained = np.count_nonzero(self._beyond & told) + np.count_nonzero(differs & ~self._beyond & ~there)
+            seen_ratio, told_ratio = hits / max(np.count_nonzero(would_differ), 1), explained / np.count_nonzero(differs)
+            ratio = 2 * seen_ratio * told_ratio / max(seen_ratio + told_ratio, 1e-6)
+            middle = middle_of(part) + self._origin_px
+            out_px, seen_px = np.count_nonzero(out), np.count_nonzero(out & near)
+            if 2 * seen_px < out_px or seen_px < max(SLIGHT_OUT_LEAST_PX, SLIGHT_OUT_RATIO * hits):
+                continue
+            if ratio >= SLIGHT_RATIO and (best is None or ratio > best.explained_ratio):
+                best = Move(tuple(middle), tuple(middle + offset_px), ratio, told_ratio, layer)
+        return best
+
     def moved_away(self, place: Place) -> Move | None:
         """How a part that stands alone was moved and turned on the bed, so far that a good part of it lies beside the print
         with the outline that it had; None where no such thing lies there. Its old place has no say: a head may hide it.
@@ -248,8 +288,8 @@ class Scope:
         moved = [one for one in others if one.stray_px + one.rim_px + one.lost_px >= OTHERS_MOVED_PX]
         return 2 * len(moved) >= len(others)
 
-    def lifted_corner(self, place: Place) -> Lift | None:
-        """How a corner that rises would explain what differs best; None where that is little, or heights cannot be seen.
+    def lifted_corner(self, place: Place, least_ratio: float = EXPLAINED_RATIO) -> Lift | None:
+        """How a corner that rises would explain what differs best; None where that is less, or heights cannot be seen.
 
         What lay there is pulled up, the more the farther out it lies; seen from the front that lays its foot bare, seen
         from behind it only sticks out above. Pixels are moved by what their own place on the bed says.
@@ -287,7 +327,7 @@ class Scope:
                 if best is None or explained > best.explained_ratio:
                     corner = pixels[np.argmax(out)] + self._origin_px
                     best = Lift(tuple(corner), lift_px / float(np.hypot(*up_px)), lift_px, float(explained))
-        return best if best and best.explained_ratio >= EXPLAINED_RATIO else None
+        return best if best and best.explained_ratio >= least_ratio else None
 
     def _bodies(self, differing: np.ndarray) -> np.ndarray:
         """bool: what is expected in one piece with, or right beside, what differs."""
