@@ -166,13 +166,13 @@ class Inspector:
         seen = view.observe(steady, moment)
         observed = seen.mask
         head, doubtful, would_tell = expected.volume, None, expected.mask
-        hidden = view.occluded(steady, union(observed, expected.mask, expected.ignored, head))
+        hidden, foreign = view.occluded(steady, observed)
         if head is not None:
             lies = in_place(observed, expected.mask, head)
             matter, either = view.clearance.free(window, moment.position_mm, head)
             doubtful = head & cv2.bitwise_not(lies | matter | (either & cv2.bitwise_not(expected.mask)))
             would_tell = expected.mask & cv2.bitwise_not(doubtful)
-        ignored = union(seen.unsure, steady.outside, hidden, doubtful, expected.ignored)
+        ignored = union(seen.unsure, steady.outside, hidden, foreign, doubtful, expected.ignored)
         self._shown = lambda: Pictures(
             steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
         )  # fmt: skip
@@ -184,7 +184,7 @@ class Inspector:
         )  # fmt: skip
         comparison = compare(sharp.mask, sharp_observed, close.cut(steady.whole.complete), sharp_ignored)
         comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * window.step**2)
-        why = blocked(expected, hidden, doubtful, seen.unsure, comparison)
+        why = blocked(expected, hidden, foreign, doubtful, seen.unsure, comparison)
         if why:
             return self._blind(Look(comparison, UNUSABLE, why), moment)
         view.accept(steady)

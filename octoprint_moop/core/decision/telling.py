@@ -20,6 +20,7 @@ MISSED_RATIO = 0.1  # of what is not seen; where less is known to be missing or 
 DRIFT_LEAST = 4.0  # grey levels by which a place where nothing came has not changed
 FLOODED = 1.5  # times the complete print: so much too much matter is no print's but the bed taken for filament
 LEAST_TELLING_RATIO = 0.3  # of the expected mask, that could be missed were it gone, to say that all is well
+MOST_FOREIGN_RATIO = 0.05  # of the expected mask, behind what stands there for good
 MOST_HIDDEN_RATIO, MOST_UNSURE_RATIO = 0.6, 0.4  # of the expected mask, to judge from the rest
 
 
@@ -34,6 +35,7 @@ def union(mask: np.ndarray, *others: np.ndarray | None) -> np.ndarray:
 def blocked(
     expected: Expected,
     hidden: np.ndarray | None,
+    foreign: np.ndarray | None,
     doubtful: np.ndarray | None,
     unsure: np.ndarray,
     comparison: Comparison,
@@ -41,12 +43,14 @@ def blocked(
     """Why too little of the print is seen to judge it; "" where enough is.
 
     A head that stands over the print hides what it hides; anything else that does is somebody's hand.
-    hidden, doubtful, unsure : uint8, 255 where something stands before the view, where the head may, and where filament and
-    background look alike; None for nowhere
+    hidden, foreign, doubtful, unsure : uint8, 255 where something has come to stand before the view, where something that
+    looks like filament stands for good, where the head may stand, where filament and background look alike; None for nowhere
     """
     if hidden is not None:
         return HIDDEN
     wanted = max(cv2.countNonZero(expected.mask), 1)
+    if foreign is not None and cv2.countNonZero(expected.mask & foreign) > MOST_FOREIGN_RATIO * wanted:
+        return HIDDEN
     told_nothing = [mask for mask in (doubtful, expected.ignored) if mask is not None]
     if told_nothing and cv2.countNonZero(expected.mask & union(*told_nothing)) > MOST_HIDDEN_RATIO * wanted:
         return HEAD_HIDES

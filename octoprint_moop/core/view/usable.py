@@ -14,6 +14,8 @@ COLOUR_STEP = 28
 STILL_APART, STILL_NEAR = 1, 3  # for how many frames more a thing must lie as it did to be part of the scene
 HIDES_PX = 5
 """How near to the print, in a glance's pixels, a thing may stand before it as well."""
+FOREIGN_RATIO = 0.25
+"""Of what came in through the picture's rim, that looks like filament beside the print: else it is told by its colour."""
 REPEATED_ROWS, REPEATED_RATIO, LIVE_RATIO, LIVE_FRAMES = 7, 0.9, 0.5, 2
 """Every so many rows are compared to tell a live picture; the shares of a picture that are those of the last to the last
 bit: in one that was delivered again, and at most in live ones, of which so many pairs must have been seen."""
@@ -88,6 +90,10 @@ class Occluders:
     Hands come and go. A gantry that stood elsewhere for the reference, a door that was shut, a box put beside the
     printer: what lies as it did a frame ago belongs to the scene from then on. Where it may hide the print that takes longer.
 
+    A thing of the filament's colour is told by where it came from: only through the picture's rim does anything come before
+    the camera, and what a print sheds begins at the print. So what hangs together with the rim, and is no strand, is none
+    of the print's, whatever its colour, for as long as it stays.
+
     Pictures are `Glance.quarter`s, (h, w, 3) uint8 BGR, and masks of their size, (h, w) uint8, over 0 where they hold.
     """
 
@@ -95,17 +101,21 @@ class Occluders:
         self._reference = self._recent = reference_bgr
         self._last: np.ndarray | None = None
         self._still_for = np.zeros(reference_bgr.shape[:2], np.int16)
+        self.foreign = np.zeros(reference_bgr.shape[:2], np.uint8)
+        """255 where in the last frame something stands that looks like filament and came in through the picture's rim."""
 
     def refer_to(self, reference_bgr: np.ndarray) -> None:
         """The reference with the bed where it stands now; what was seen since stays known."""
         self._reference = reference_bgr
 
-    def find(self, small_bgr: np.ndarray, filament: np.ndarray, place: np.ndarray) -> np.ndarray:
+    def find(
+        self, small_bgr: np.ndarray, filament: np.ndarray, place: np.ndarray, unknown: np.ndarray | None = None
+    ) -> np.ndarray:
         """(h, w) uint8, 255 where something hides the view.
 
-        small_bgr : in the reference's light and view; filament : where filament is or may be; place : where the complete
-        print will be. Compared with the reference and with the last good frame: a gantry that climbs differs from the
-        first only.
+        small_bgr : in the reference's light and view; filament : where filament is seen or may be; place : where the
+        complete print will be; unknown : where nothing can be told by the reference. Compared with the reference and with
+        the last good frame: a gantry that climbs differs from the first only.
         """
         change = cv2.min(_difference(small_bgr, self._reference), _difference(small_bgr, self._recent))
         changed = cv2.inRange(change, COLOUR_STEP + 1, 255)
@@ -113,26 +123,53 @@ class Occluders:
             still = (changed > 0) & (_difference(small_bgr, self._last) < COLOUR_STEP // 2)
             self._still_for = (self._still_for + 1) * still
         self._last = small_bgr
+        if unknown is not None:
+            changed[_about(unknown) > 0] = 0
+        came_in = [blob for blob in _large(_opened(changed)) if _through_rim(blob, place)]
         changed[_about(filament) > 0] = 0
-        blobs = cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        hiding = np.zeros(blobs.shape, np.uint8)
-        if cv2.countNonZero(blobs) <= OCCLUDER_RATIO * blobs.size:
-            return hiding
+        blobs = _opened(changed)
+        for blob in came_in:
+            blobs[blob] = 255
         # what a thing shows beside the print was cut off from what it shows before it, with a margin all around
         print_and_about = cv2.dilate(place | filament, np.ones((2 * HIDES_PX + 1, 2 * HIDES_PX + 1), np.uint8)) > 0
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(blobs)
-        for label in range(1, len(stats)):
-            if stats[label, cv2.CC_STAT_AREA] <= OCCLUDER_RATIO * labels.size:
-                continue
-            blob = labels == label
+        hiding, self.foreign = np.zeros((2, *blobs.shape), np.uint8)
+        for blob in _large(blobs):
             hides = (blob & print_and_about).any()
             if np.median(self._still_for[blob]) < (STILL_NEAR if hides else STILL_APART):
                 hiding[blob] = 255
-        return cv2.dilate(hiding, np.ones((9, 9), np.uint8))
+        beside = (filament > 0) & (_about(place) == 0)
+        for blob in came_in:
+            if np.count_nonzero(blob & beside) > FOREIGN_RATIO * np.count_nonzero(blob):
+                self.foreign[blob] = 255
+        around = np.ones((9, 9), np.uint8)
+        self.foreign = cv2.dilate(self.foreign, around)
+        return cv2.dilate(hiding, around)
 
     def accept(self, small_bgr: np.ndarray) -> None:
-        """The frame is good: what it shows is what the view looks like now."""
+        """The frame is good: what it shows is what the view looks like now, but for what does not belong there."""
+        if self.foreign.any():
+            small_bgr = np.where(self.foreign[..., None] > 0, self._recent, small_bgr)
         self._recent = small_bgr
+
+
+def _opened(changed: np.ndarray) -> np.ndarray:
+    """The mask without strands, and without the edges of what has moved a little."""
+    return cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+
+
+def _large(blobs: np.ndarray) -> list[np.ndarray]:
+    """(h, w) bool each: the mask's spots that are large enough for a thing before the view."""
+    least_px = OCCLUDER_RATIO * blobs.size
+    if cv2.countNonZero(blobs) <= least_px:
+        return []
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(blobs)
+    return [labels == label for label in range(1, len(stats)) if stats[label, cv2.CC_STAT_AREA] > least_px]
+
+
+def _through_rim(blob: np.ndarray, place: np.ndarray) -> bool:
+    """Whether a spot (bool) hangs together with the picture's rim, and not where the print itself reaches it."""
+    sides = [(blob[side], place[side] > 0) for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
+    return any(there.any() for there, _ in sides) and not any((there & prints).any() for there, prints in sides)
 
 
 def _difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:

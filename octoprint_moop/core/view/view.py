@@ -294,22 +294,26 @@ class View:
         self._camera = camera
         self._expected = ExpectedViews(self._toolpath, camera, self._printer.bed, self._renderer, self._head)
 
-    def occluded(self, steady: SteadyFrame, filament: np.ndarray) -> np.ndarray | None:
-        """(h, w) uint8, in the window, 255 where something newly hides the view; None where nothing does.
+    def occluded(self, steady: SteadyFrame, observed: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Two masks (h, w) uint8, in the window: 255 where something newly hides the view, and where something stands that
+        looks like filament and is not the print's; None where nothing does.
 
-        filament : (h, w) uint8, 255 where filament is or may be in the window
+        observed : (h, w) uint8, 255 where filament is seen in the window
         """
         assert self._backdrop is not None
-        known = self._backdrop.unknown.copy()
-        steady.window.in_small(filament, known)
+        unknown, filament = self._backdrop.unknown.copy(), np.zeros_like(self._backdrop.unknown)
+        if steady.expected.ignored is not None:
+            steady.window.in_small(steady.expected.ignored, unknown)
         if steady.whole.volume is not None:  # the head may reach far beyond the window
-            head = cv2.resize(steady.whole.volume, known.shape[::-1], interpolation=cv2.INTER_AREA)
-            known |= cv2.threshold(head, 0, 255, cv2.THRESH_BINARY)[1]
+            head = cv2.resize(steady.whole.volume, unknown.shape[::-1], interpolation=cv2.INTER_AREA)
+            unknown |= cv2.threshold(head, 0, 255, cv2.THRESH_BINARY)[1]
+        steady.window.in_small(observed | steady.expected.mask, filament)
         if self._place is None:
-            self._place = np.zeros_like(known)
+            self._place = np.zeros_like(unknown)
             steady.window.in_small(steady.expected.complete, self._place)
-        hiding = self._backdrop.occluders.find(steady.small, known, self._place)
-        return steady.window.from_small(hiding) if hiding.any() else None
+        occluders = self._backdrop.occluders
+        hiding = occluders.find(steady.small, filament, self._place, unknown)
+        return tuple(steady.window.from_small(one) if one.any() else None for one in (hiding, occluders.foreign))
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
