@@ -188,3 +188,21 @@ def test_thresholds_that_fit_the_bed_as_well_do_not_blind_it_to_a_black_print(on
         seen = segmenter.observe(frame, truth)
         assert iou(seen.mask, truth.mask) > 0.9
         segmenter.learn(frame, truth, seen)
+
+
+def test_the_colours_of_a_head_that_stands_before_the_print_are_not_learned_as_filament():
+    """At each layer it hides the upper half of what must be seen; later the head is seen beside the print."""
+    segmenter, volume = AdaptiveSegmenter(None, bed()), np.zeros(BIRTH.shape, np.uint8)
+    black = (18, 18, 20)
+    for layer in range(6, 14):
+        top = BED_ROW - LAYER_PX * layer
+        volume[:] = 0
+        volume[: top + 2 * layer] = 255
+        frame = printed(expected(layer).mask, seed=layer)
+        frame[top - 10 : top + 2 * layer, 50:120] = black
+        told = Expected(BIRTH, layer, layer - 1, volume=volume)
+        segmenter.learn(frame, told, segmenter.observe(frame, told))
+    frame = printed(expected(14).mask, seed=90)
+    frame[70:100, 20:45] = black
+    seen = segmenter.observe(frame, expected(14)).mask
+    assert iou(seen, expected(14).mask) > 0.9 and not seen[74:96, 24:40].any()

@@ -17,6 +17,7 @@ _CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the 
 _FRINGE = 10.0
 _SQUARES = np.minimum(np.arange(256) ** 2, 20_000).astype(np.uint16)  # three of them fit into 16 bits
 _ALIKE = 0.4  # of where material lies, that the bed seems to show through though all is well: they look alike
+_BEYOND_PX = 200  # beside where a head may be; fewer pixels tell less of a filament's colours than all do
 _INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
 
 
@@ -94,7 +95,7 @@ class AdaptiveSegmenter:
         few = box_about(expected.mask, 2 * _INSIDE_PX + 2)  # no filament is learned beyond
         mask, seen, sure = expected.mask[few], observed.mask[few], cv2.bitwise_not(observed.unsure[few])
         inside = _well_inside(mask, _INSIDE_PX)
-        filament = inside & seen & sure
+        filament = _beyond_head(inside & seen & sure, expected, few)
         plate = self._plate_like(background)
         if plate is not None:
             changed = self._not_the_bed(Plate(plate.colours[few], plate.known[few]), colours[few])
@@ -153,8 +154,17 @@ class AdaptiveSegmenter:
             plate = self._plate_like(lies)
             if plate is not None:
                 lies &= self._not_the_bed(plate, colours)
-            filament = count_colours(colours, lies)
+            filament = count_colours(colours, _beyond_head(lies, expected))
         return ColourModel(filament, background)
+
+
+def _beyond_head(lies: np.ndarray, expected: Expected, few: tuple = np.s_[:, :]) -> np.ndarray:
+    """Of where filament seems to lie what no head can stand before, if that is enough to learn from: it stands in the same
+    place of the print's picture again and again, and its colours would be learned as well."""
+    if expected.volume is None:
+        return lies
+    beyond = np.where(expected.volume[few] > 0, lies.dtype.type(0), lies)
+    return beyond if np.count_nonzero(beyond) >= _BEYOND_PX else lies
 
 
 def _well_inside(mask: np.ndarray, by_px: int) -> np.ndarray:
