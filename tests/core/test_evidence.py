@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from octoprint_moop.core.decision.evidence import find
+from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.decision.spots import near_to, without_specks
 from octoprint_moop.core.expected.views import surroundings
 
@@ -257,6 +258,22 @@ def test_more_than_was_laid_cannot_have_come():
     assert stray_px(walls(12) | strand, 200.0) > 80
     assert stray_px(walls(12) | sleeve, 3000.0) > 3000
     assert stray_px(wall(1, 12) | moved(wall(0, 12), -40, 0), 10.0) > 900
+
+
+@pytest.mark.parametrize(("matter", "missing"), [((76, 76, 74), False), ((72, 68, 63), True)])
+def test_newer_layers_as_dark_as_the_bed_have_come_where_all_of_them_together_are_of_the_filaments_tint(
+    matter, missing
+):
+    """A side wall in shade, against a bed that shows; the bed is bluish, the filament grey."""
+    stage = Stage(plastic_bgr=(150, 150, 150))
+    stage.bed[:] = (80, 76, 70)
+    stage.memory = Memory(stage.bed, SHAPE)
+    for layer in range(10):
+        stage.good(layer, walls(layer))
+    sight = stage.sight(16, walls(16), observed=wall(0, 9) | wall(1, 16))
+    sight.frame_bgr[wall(0, 16, 10)] = np.array(matter)
+    found = find(sight, stage.memory)
+    assert (found.whole.unseen_px > 200) == missing
 
 
 def test_what_hides_the_print_is_told_from_what_is_gone():

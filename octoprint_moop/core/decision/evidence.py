@@ -29,6 +29,7 @@ from ..expected.views import Expected, PrintMap, box_about
 from . import align
 from .counts import WHOLE, WINDOWS, Counter, Evidence
 from .memory import Memory, Window, about, placed, planes, register
+from .shade import is_shaded_matter
 from .spots import disc, near_to, spots_of, within, without_hollows, without_specks
 
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
@@ -225,6 +226,11 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     covered = observed if off_px < 1 else cv2.dilate(observed_u8, disc(off_px)) > 0
     # what was seen in a good check has come; whether it has gone again is asked above
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered & ~memory.ever_seen(window))
+    bed, has_bare = known & ~observed & ~near_wanted, memory.has_bare(window)
+    if (unseen | barren).any():
+        lies = observed & wanted & ~unchanged
+        if is_shaded_matter(look, memory.bare(window), (unseen | barren) & has_bare, lies, bed & has_bare):
+            unseen, barren = np.zeros_like(unseen), np.zeros_like(barren)
     stray, rim = memory.looks_new(window, look, stray), memory.looks_new(window, look, rim)
     # dark filament and its own shadow look alike
     rim &= ~memory.looks_shaded(window, look, rim)
@@ -233,7 +239,6 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     gone, gone_px, hidden_px = lost, np.count_nonzero(lost), 0
     if gone_px:
-        bed = known & ~observed & ~near_wanted
         hidden_px = _hidden_px(memory, window, look, lost, stray, bed)
         lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
         if lost.any():

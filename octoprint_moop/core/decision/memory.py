@@ -234,6 +234,10 @@ class Memory:
     def _forget_compared(self) -> None:
         self._compared = None, None, {}
 
+    def has_bare(self, window: Window) -> np.ndarray:
+        """bool: where it is known how the bed looks without matter."""
+        return self._has_bare[window]
+
     def bare(self, window: Window) -> np.ndarray:
         """(3, h, w) uint8: how the bed looks without matter, where that is known."""
         return self._bare[:, window[0], window[1]]
