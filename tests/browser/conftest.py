@@ -18,6 +18,7 @@ PUT_BACK = """() => {
     document.querySelectorAll('body style, head style:not([data-kept])').forEach(style => style.remove());
     $('.modal.in').modal('hide');
     PNotify.removeAll();
+    OctoPrint.socket.registeredHandlers.plugin = window.moopTold || OctoPrint.socket.registeredHandlers.plugin;
     const tab = ko.dataFor(document.getElementById('moop_watch'));
     $('#temp_link a').tab('show');
     tab.view.startOver();
@@ -99,6 +100,9 @@ def open_tab(page: Any, canned: Canned) -> Callable[[], Any]:
                 state.fromCurrentData = () => {};
                 state.isPrinting(printer === 'printing');
                 state.isPaused(printer === 'paused');
+                const told = OctoPrint.socket.registeredHandlers; // the real server's news are of another print
+                window.moopTold = window.moopTold || told.plugin;
+                told.plugin = [];
             }""",
             canned.printer,
         )

@@ -214,6 +214,7 @@ def test_a_hidden_tab_asks_for_no_pictures(canned: Canned, open_tab: Open) -> No
     picture(page)
     page.click("#temp_link a")
     page.wait_for_timeout(300)
+    page.wait_for_function("$.active === 0")
     canned.asked.clear()
     for layer in range(1, 6):
         push(page, {"type": "check", "check": check(layer)})

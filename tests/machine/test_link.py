@@ -165,8 +165,8 @@ def test_a_question_that_waits_for_one_nobody_wants_any_more_is_told_how_far_tha
     unwanted, told = threading.Event(), []
     unwanted.set()
     with pytest.raises(Interrupted):
-        eye.ask("count", timeout_s=1.2, interrupted=unwanted, progress=told.append, s=0.8)
-    assert eye.ask("echo", timeout_s=1.2, interrupted=threading.Event(), progress=told.append, x=1)[0] == {"x": 1}
+        eye.ask("count", timeout_s=3.0, interrupted=unwanted, progress=told.append, s=2.0)
+    assert eye.ask("echo", timeout_s=3.0, interrupted=threading.Event(), progress=told.append, x=1)[0] == {"x": 1}
     assert told == [0.25, 0.75] and eye.births == 1
 
 
@@ -174,10 +174,10 @@ def test_a_question_that_waits_for_its_turn_does_not_end_what_is_being_done(eye)
     """Who opens the past prints while a model is read must not cost the reading, nor its own pictures."""
     eye.ask("echo", timeout_s=10)
     answers = []
-    reading = threading.Thread(target=lambda: answers.append(eye.ask("sleep", timeout_s=10, s=1.0)))
+    reading = threading.Thread(target=lambda: answers.append(eye.ask("sleep", timeout_s=10, s=2.0)))
     reading.start()
     time.sleep(0.2)
-    assert eye.ask("echo", timeout_s=0.3, x=1)[0] == {"x": 1}
+    assert eye.ask("echo", timeout_s=1.0, x=1)[0] == {"x": 1}
     reading.join()
     assert answers and eye.births == 1
 
