@@ -26,7 +26,7 @@ BIRTH = birth_map()
 
 
 def expected(layers: int) -> Expected:
-    return Expected(BIRTH, layers, max(layers - 1, 0))
+    return Expected(BIRTH, layers)
 
 
 def bed(colour=GREY, seed: int = 0) -> np.ndarray:

@@ -36,7 +36,7 @@ def room() -> np.ndarray:
 
 
 def moved(camera, printer, room, position) -> Backdrop:
-    nothing = Expected(np.zeros(room.shape[:2], np.uint32), 0, 0)
+    nothing = Expected(np.zeros(room.shape[:2], np.uint32), 0)
     backdrop = Backdrop(camera, printer, room, printer.bed.reference_mm, nothing)
     backdrop.follow(position, nothing)
     return backdrop

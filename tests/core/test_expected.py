@@ -7,6 +7,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from octoprint_moop.core.camera import BedMotion
 from octoprint_moop.core.errors import RecordingError, SettingsError
@@ -57,11 +58,9 @@ def test_the_mask_at_a_position_is_that_of_the_beads_that_end_there():
     assert np.array_equal(seen.at(0, HERE).complete, seen.at(10**9, HERE).mask)
 
 
-def test_what_is_fresh_and_what_is_in_doubt_are_slices_of_the_same_map():
-    seen = views(vase()).at(3000, HERE, before=200, sure_pos=2930)
-    older = views(vase()).at(2000, HERE).mask
+def test_what_is_in_doubt_is_what_may_not_lie_yet():
+    seen = views(vase()).at(3000, HERE, sure_pos=2930)
     sure = views(vase()).at(2930, HERE).mask
-    assert np.array_equal(seen.fresh, seen.mask & ~older)
     assert np.array_equal(seen.ignored, seen.mask & ~sure)
     assert seen.ignored.any()
 
@@ -130,37 +129,16 @@ def test_an_object_that_the_file_itself_cancels_is_not_expected_and_the_earlier_
     assert np.array_equal(views(by_file).at(10**6, HERE, cancelled={1: 10 * 48 * 9}).mask, live)
 
 
-def test_each_object_has_its_own_silhouette_and_the_nearer_one_is_seen():
+def test_pixels_belong_to_the_object_that_alone_can_cover_them_and_lie_near_one():
     print_ = two_posts()
-    seen = ExpectedViews(print_, LOW, BedMotion(), CvRenderer()).objects_at(10 * 48 * 7, HERE)
-    assert [one.name for one in seen.objects] == ["part 0", "part 1"]
-    laid = np.arange(len(print_)) < 48 * 7
-    masks = []
-    for one in seen.objects:
-        mask = np.zeros(seen.front.shape, np.uint8)
-        mask[one.window] = one.mask
-        assert np.array_equal(mask, drawn_alone(print_, laid & (print_.object_id == one.index), camera=LOW))
-        masks.append(mask > 0)
-    near, far = masks
-    assert (near & far).any()
-    assert (seen.front[near] == 0).all()
-    assert (seen.front[far & ~near] == 1).all()
-    assert (seen.front[~near & ~far] == module.NOTHING).all()
-
-
-@pytest.mark.parametrize("first, second", [((100, 80), (103, 110)), ((103, 110), (100, 80))])
-@pytest.mark.parametrize("eye", [(100, -80, 9), (100, 280, 9)])
-def test_of_two_objects_the_one_on_the_camera_s_side_is_seen_whatever_their_numbers(first, second, eye):
-    camera = camera_at(eye, (100, 100, 2))
-    seen = ExpectedViews(two_posts(first, second), camera, BedMotion(), CvRenderer()).objects_at(10**6, HERE)
-    masks = {}
-    for one in seen.objects:
-        masks[one.index] = np.zeros(seen.front.shape, bool)
-        masks[one.index][one.window] = one.mask > 0
-    both = masks[0] & masks[1]
-    assert both.any()
-    nearer = 0 if np.hypot(*np.subtract(first, eye[:2])) < np.hypot(*np.subtract(second, eye[:2])) else 1
-    assert (seen.front[both] == nearer).all()
+    whose = ExpectedViews(print_, LOW, BedMotion(), CvRenderer()).map_at(HERE)
+    near, far = (drawn_alone(print_, print_.object_id == number, camera=LOW) > 0 for number in (0, 1))
+    assert (near & far).any() and whose.objects == 2
+    assert np.array_equal(whose.owner == 0, near & ~far) and np.array_equal(whose.owner == 1, far & ~near)
+    assert (whose.nearest[far & ~near] == 1).all() and (whose.nearest[near & ~far] == 0).all()
+    away = [distance_transform_edt(whose.owner != number) for number in (0, 1)]
+    plain = np.abs(away[0] - away[1]) > 0.05 * np.minimum(*away)  # so good is the transform
+    assert np.array_equal(whose.nearest[plain], (away[1] < away[0])[plain])
 
 
 def test_an_unparked_head_may_hide_what_lies_within_its_volume():

@@ -81,12 +81,10 @@ def test_only_the_object_that_failed_is_cancelled_and_the_rest_is_printed_and_wa
             if command == "EXCLUDE_OBJECT NAME=right" and cancelled_pos is None:
                 cancelled_pos = printed_pos
         gone = {} if cancelled_pos is None else {1: cancelled_pos}
-        whole = np.zeros((480, 640), np.uint8)
-        for one in room.webcam.views.objects_at(file_pos, (0.0, 0.0, 0.0), gone).objects:
-            own = np.zeros_like(whole)
-            own[one.window] = one.mask
-            whole |= slid(own) if one.name == "right" and file_pos > falls_at else own
-        return whole
+        views, here = room.webcam.views, (0.0, 0.0, 0.0)
+        seen, left = views.at(file_pos, here, gone).mask, views.map_at(here, file_pos, gone).nearest == 0
+        right = np.where(left, np.uint8(0), seen)
+        return np.where(left, seen, np.uint8(0)) | (slid(right) if file_pos > falls_at else right)
 
     room.webcam.mask = mask
     path = room.print(text)

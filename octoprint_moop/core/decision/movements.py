@@ -34,7 +34,11 @@ OLD_MOVED_RATIO = 0.1  # share of the difference that is old matter's: then the 
 LEAST_PART_PX = 20
 LIKE_RATIO = 0.84  # from which on what lies beside the print is the newest layers' own pattern
 BOTH_RATIO, AGREE_PX = 0.87, 4.5  # the same of the mean of pattern and outline, where they agree
-SLIGHT_RATIO, SLIGHT_REACH_PX, SLIGHT_LEAST_PX = 0.7, 12, 30  # the same within the band about expected edges; there must be
+SLIGHT_RATIO, SLIGHT_REACH_PX, SLIGHT_LEAST_PX = (
+    0.7,
+    12,
+    30,
+)  # the same within the band about expected edges; there must be
 SLIGHT_OUT_RATIO, SLIGHT_OUT_LEAST_PX = 0.12, 15  # so much of it beside the print, and most of what would lie there
 AWAY_RATIO, AWAY_LEAST_PX = 0.88, 60  # the same for a part that came off
 OUT_RATIO = 0.15  # of that part at least so much sticks out
@@ -246,7 +250,10 @@ class Scope:
             would_differ = out | (above & ~there)
             hits = np.count_nonzero(would_differ & near)
             explained = np.count_nonzero(self._beyond & told) + np.count_nonzero(differs & ~self._beyond & ~there)
-            seen_ratio, told_ratio = hits / max(np.count_nonzero(would_differ), 1), explained / np.count_nonzero(differs)
+            seen_ratio, told_ratio = (
+                hits / max(np.count_nonzero(would_differ), 1),
+                explained / np.count_nonzero(differs),
+            )
             ratio = 2 * seen_ratio * told_ratio / max(seen_ratio + told_ratio, 1e-6)
             middle = middle_of(part) + self._origin_px
             out_px, seen_px = np.count_nonzero(out), np.count_nonzero(out & near)

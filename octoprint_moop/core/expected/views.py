@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -80,7 +80,6 @@ class Expected:
 
     birth  : uint32, 1 + index of the first bead that covers the pixel in the complete print, 0 for never
     laid   : number of beads that lie at this moment
-    before : number of beads that lay at the last check (so that `before <= birth-1 < laid` is what is new)
     doubt  : so many of the `laid` may not lie yet, since the printer lags behind the file
     hidden : uint8, 255 where the lens's edge leaves nothing to be seen; None for nowhere
     volume : uint8, 255 where the head or the gantry may stand before the print; None where they are out of the way
@@ -89,7 +88,6 @@ class Expected:
 
     birth: np.ndarray
     laid: int
-    before: int = 0
     doubt: int = 0
     hidden: np.ndarray | None = None
     volume: np.ndarray | None = None
@@ -116,11 +114,6 @@ class Expected:
         return self.silhouette.surroundings
 
     @cached_property
-    def fresh(self) -> np.ndarray:
-        """uint8, 255 where material must be seen now and was not at the last check."""
-        return _between(self.birth, self.before, self.laid)
-
-    @cached_property
     def ignored(self) -> np.ndarray | None:
         """uint8, 255 where nothing can be said: hidden, or covered first by a bead that may not lie yet. None for nowhere."""
         if not self.doubt:
@@ -132,45 +125,6 @@ class Expected:
     def head(self) -> np.ndarray:
         """uint8, 255 where the head or the gantry may be."""
         return np.zeros(self.birth.shape, np.uint8) if self.volume is None else self.volume
-
-
-@dataclass(frozen=True, eq=False)
-class ExpectedObject:
-    """One labelled object seen alone, as if no other stood before it.
-
-    index  : its place in `Toolpath.objects`
-    window : rows and columns of the picture outside of which it never appears
-    birth  : uint32, the window's part of its own birth map
-    laid   : number of beads of the whole print that lie at this moment
-    """
-
-    index: int
-    name: str
-    window: tuple[slice, slice]
-    birth: np.ndarray
-    laid: int
-
-    @cached_property
-    def mask(self) -> np.ndarray:
-        """uint8 of the window's shape, 255 where this object must be seen now unless another stands before it."""
-        return _between(self.birth, 0, self.laid)
-
-    @cached_property
-    def complete(self) -> np.ndarray:
-        """uint8 of the window's shape, 255 where this object will be seen when it is complete."""
-        return _between(self.birth, 0, MOST_BEADS)
-
-
-@dataclass(frozen=True, eq=False)
-class ExpectedObjects:
-    """The labelled objects at one moment.
-
-    objects : those that appear in the picture
-    front   : (H, W) int16, index of the object that is seen at the pixel now, the foremost of several; else NOTHING
-    """
-
-    objects: tuple[ExpectedObject, ...]
-    front: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +164,6 @@ class ExpectedViews:
     ) -> None:
         self._toolpath, self._camera, self._bed, self._renderer, self._head = toolpath, camera, bed, renderer, head
         self._births: dict[_Drawing, Silhouette] = {}
-        self._objects: dict[_Drawing, tuple[ExpectedObject, ...]] = {}
         self._maps: dict[_Drawing, PrintMap] = {}
         blind = blind_area(camera)
         self._blind = blind if blind.any() else None
@@ -223,7 +176,6 @@ class ExpectedViews:
         self,
         file_pos: int,
         position_mm: tuple[float, float, float],
-        before: int = 0,
         cancelled: Mapping[int, int] | None = None,
         sure_pos: int | None = None,
         parked: bool = True,
@@ -241,7 +193,7 @@ class ExpectedViews:
             volume = hidden_by(self._head, position_mm, self._bed, self._camera)
         silhouette = self._silhouette(self._drawing(position_mm, file_pos, cancelled, parked))
         doubt = 0 if sure_pos is None else laid - self._toolpath.laid_at(sure_pos)
-        return Expected(silhouette.birth, laid, before, doubt, self._blind, volume, silhouette)
+        return Expected(silhouette.birth, laid, doubt, self._blind, volume, silhouette)
 
     def map_at(
         self,
@@ -264,29 +216,6 @@ class ExpectedViews:
         """
         birth = self._renderer.birth_map(self._toolpath, self._camera, np.array(self.pose(position_mm)), beads)
         return _between(birth, 0, MOST_BEADS)
-
-    def objects_at(
-        self,
-        file_pos: int,
-        position_mm: tuple[float, float, float],
-        cancelled: Mapping[int, int] | None = None,
-        parked: bool = True,
-    ) -> ExpectedObjects:
-        """The labelled objects at that moment, each alone, and which of them is seen where.
-
-        Raises RenderError where drawing fails.
-        """
-        drawing = self._drawing(position_mm, file_pos, cancelled, parked)
-        laid = self._toolpath.laid_at(file_pos)
-        width, height = self._camera.image_size_px
-        objects = tuple(replace(one, laid=laid) for one in self._alone(drawing))
-        front = np.full((height, width), NOTHING, dtype=np.int16)
-        nearer = self._nearer(self._camera.centre_mm - np.array(drawing.shift_mm))
-        for one in objects:
-            window = front[one.window]
-            wins = (one.mask > 0) & ((window == NOTHING) | nearer[one.index, window])
-            window[wins] = one.index
-        return ExpectedObjects(objects, front)
 
     def _drawing(
         self,
@@ -330,66 +259,24 @@ class ExpectedViews:
     def _outward(self) -> np.ndarray:
         return np.isin(self._toolpath.role, np.array(OUTWARD, dtype=np.uint8))
 
-    def _alone(self, drawing: _Drawing) -> tuple[ExpectedObject, ...]:
-        if drawing not in self._objects:
-            _make_room(self._objects)
-            self._objects[drawing] = tuple(self._draw_alone(drawing))
-        return self._objects[drawing]
-
-    def _draw_alone(self, drawing: _Drawing) -> Iterator[ExpectedObject]:
+    def _alone(self, drawing: _Drawing) -> Iterator[tuple[int, np.ndarray]]:
+        """Each labelled object's number, and (H, W) bool, where it will be seen if no other stands before it."""
         chosen = self._chosen(drawing)
         owner = self._toolpath.object_id if chosen is None else self._toolpath.object_id[chosen]
-        for index, name in enumerate(self._toolpath.objects):
-            own = np.flatnonzero(owner == index)
-            if not own.size:
-                continue
-            birth = self._draw(drawing, own if chosen is None else chosen[own])
-            rows, columns = np.flatnonzero(birth.any(axis=1)), np.flatnonzero(birth.any(axis=0))
-            if rows.size:
-                window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-                yield ExpectedObject(index, name, window, birth[window].copy(), 0)
+        for number in range(len(self._toolpath.objects)):
+            own = np.flatnonzero(owner == number)
+            if own.size:
+                yield number, self._draw(drawing, own if chosen is None else chosen[own]) > 0
 
     def _print_map(self, drawing: _Drawing) -> PrintMap:
         birth = self._silhouette(drawing).birth
         layer = np.searchsorted(self._toolpath.layer_start, birth, side="left").astype(np.int32) - 1
         owner, covers = np.full(birth.shape, NOTHING, np.int16), np.zeros(birth.shape, np.int16)
-        for one in self._alone(drawing):
-            covered = one.complete > 0
-            owner[one.window][covered] = one.index
-            covers[one.window] += covered
+        for number, covered in self._alone(drawing):
+            owner[covered] = number
+            covers += covered
         owner[covers > 1] = NOTHING
         return PrintMap(layer, owner, _nearest(owner), len(self._toolpath.objects))
-
-    def _nearer(self, eye_print_mm: np.ndarray) -> np.ndarray:
-        """(O, O) bool: the object of the row stands before that of the column.
-
-        Objects stand side by side, so some axis parts their footprints, and of two on one line of sight the nearer is
-        the one on the camera's side of that gap. Where the footprints overlap, the distance of their middles decides.
-        """
-        count = len(self._toolpath.objects)
-        low, high = self._footprints
-        eye = eye_print_mm[:2]
-        away = np.linalg.norm((low + high) / 2 - eye, axis=1)
-        nearer = away[:, None] < away[None, :]
-        for axis in (0, 1):
-            before = high[:, None, axis] <= low[None, :, axis]  # the row's object lies below the column's on this axis
-            middle = (high[:, None, axis] + low[None, :, axis]) / 2
-            nearer = np.where(before, eye[axis] < middle, nearer)
-            nearer = np.where(before.T, eye[axis] >= middle.T, nearer)
-        nearer[np.arange(count), np.arange(count)] = False
-        return nearer
-
-    @cached_property
-    def _footprints(self) -> tuple[np.ndarray, np.ndarray]:
-        """(O, 2) float64 twice: lowest and highest x and y of each object."""
-        count = len(self._toolpath.objects)
-        low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
-        for index in range(count):
-            own = self._toolpath.beads_mm[self._toolpath.object_id == index]
-            if len(own):
-                ends = own[:, [0, 1, 3, 4]].reshape(-1, 2)
-                low[index], high[index] = ends.min(axis=0), ends.max(axis=0)
-        return low, high
 
 
 def box_about(mask: np.ndarray, margin: int) -> tuple[slice, slice]:

@@ -152,7 +152,7 @@ class Window:
         """What must be seen in the window. silhouette : the complete print's in it, where it is there already"""
         return Expected(
             self.sampled(expected.birth) if silhouette is None else silhouette.birth,
-            expected.laid, expected.before, expected.doubt,
+            expected.laid, expected.doubt,
             None if expected.hidden is None else self.sampled(expected.hidden),
             None if expected.volume is None else self.sampled(expected.volume), silhouette,
         )  # fmt: skip
