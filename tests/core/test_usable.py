@@ -168,3 +168,15 @@ def test_what_a_print_sheds_at_the_pictures_rim_is_not_taken_for_a_thing_that_re
         occluders = Occluders(small(frame))
         assert not occluders.find(small(picture), cv2.dilate(as_filament, np.ones((3, 3))), place).any()
         assert not occluders.foreign.any()
+
+
+def test_a_print_that_fell_over_the_pictures_rim_has_not_come_in_there(frame):
+    """The bed shows where it stood."""
+    stood = cv2.rectangle(frame.copy(), (300, 180), (430, 330), (20, 120, 230), -1)
+    fallen = cv2.rectangle(frame.copy(), (480, 180), (639, 300), (20, 120, 230), -1)
+    place, as_filament = np.zeros((2, 120, 160), np.uint8)
+    place[40:85, 72:110] = as_filament[40:85, 72:110] = 255
+    occluders = Occluders(small(frame))
+    occluders.accept(small(stood))
+    as_filament[43:78, 118:160] = 255
+    assert not occluders.find(small(fallen), as_filament, place).any() and not occluders.foreign.any()

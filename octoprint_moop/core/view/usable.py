@@ -16,6 +16,8 @@ HIDES_PX = 5
 """How near to the print, in a glance's pixels, a thing may stand before it as well."""
 FOREIGN_RATIO = 0.25
 """Of what came in through the picture's rim, that looks like filament beside the print: else it is told by its colour."""
+BARED_RATIO = 0.25
+"""Of what came in, as much of the print's place as shows the bed again: else it may be the print that came off."""
 REPEATED_ROWS, REPEATED_RATIO, LIVE_RATIO, LIVE_FRAMES = 7, 0.9, 0.5, 2
 """Every so many rows are compared to tell a live picture; the shares of a picture that are those of the last to the last
 bit: in one that was delivered again, and at most in live ones, of which so many pairs must have been seen."""
@@ -92,7 +94,7 @@ class Occluders:
 
     A thing of the filament's colour is told by where it came from: only through the picture's rim does anything come before
     the camera, and what a print sheds begins at the print. So what hangs together with the rim, and is no strand, is none
-    of the print's, whatever its colour, for as long as it stays.
+    of the print's, whatever its colour, for as long as it stays; unless the bed shows where the print stood.
 
     Pictures are `Glance.quarter`s, (h, w, 3) uint8 BGR, and masks of their size, (h, w) uint8, over 0 where they hold.
     """
@@ -117,7 +119,8 @@ class Occluders:
         complete print will be; unknown : where nothing can be told by the reference. Compared with the reference and with
         the last good frame: a gantry that climbs differs from the first only.
         """
-        change = cv2.min(_difference(small_bgr, self._reference), _difference(small_bgr, self._recent))
+        from_reference, from_recent = (_difference(small_bgr, known) for known in (self._reference, self._recent))
+        change = cv2.min(from_reference, from_recent)
         changed = cv2.inRange(change, COLOUR_STEP + 1, 255)
         if self._last is not None:
             still = (changed > 0) & (_difference(small_bgr, self._last) < COLOUR_STEP // 2)
@@ -126,6 +129,9 @@ class Occluders:
         if unknown is not None:
             changed[_about(unknown) > 0] = 0
         came_in = [blob for blob in _large(_opened(changed)) if _through_rim(blob, place)]
+        if came_in:  # where the bed has come to light, it is the print that went there
+            bared = (place > 0) & (from_reference < COLOUR_STEP // 2) & (from_recent > COLOUR_STEP)
+            came_in = [blob for blob in came_in if np.count_nonzero(bared) < BARED_RATIO * np.count_nonzero(blob)]
         changed[_about(filament) > 0] = 0
         blobs = _opened(changed)
         for blob in came_in:
