@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import flask
 from octoprint.access.permissions import Permissions
 from octoprint.plugin import BlueprintPlugin
 
-from ..core.errors import RecordingError
 from ..core.settings import DEFAULTS, read_value
 from ..machine import recorder
 from ..machine.link import EyeLink
@@ -108,18 +106,9 @@ class MoopPastApi(BlueprintPlugin):
         folder = self._recording(name)
         wanted = {key: read_value(key, value) for key, value in body().items()}
         values = {**{key: getattr(self._moop_settings, key) for key in DEFAULTS}, **wanted}
-        masks = self._masks(name)
-        with contextlib.suppress(OSError):  # those of one recording are enough
-            for other in masks.parent.iterdir():
-                if other != masks:
-                    shutil.rmtree(other, ignore_errors=True)
-        try:
-            masks.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RecordingError(f"There is no room for the pictures of a replay: {error.strerror or error}.") from None
         _, (found,) = self._replay_eye.ask(
             "replay", timeout_s=REPLAY_S, recording=str(folder), material=self._material(values), settings=values,
-            masks=str(masks),
+            masks=str(self._masks(name)),
         )  # fmt: skip
         return flask.Response(found, mimetype="application/json")
 

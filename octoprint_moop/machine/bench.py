@@ -7,13 +7,18 @@ are imported by it.
 from __future__ import annotations
 
 import json
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import cv2
 
 from ..core.header import Printer
 from ..core.segmentation.segment import HsvThresholds, segment_hsv
 from .pictures import decode, encode_mask
+
+if TYPE_CHECKING:
+    from ..core.checks import Check
+    from .replaying import Replay
 
 Answer = tuple[dict[str, Any], list[bytes]]
 
@@ -162,8 +167,6 @@ def mesh(blobs: list[bytes], mesh: dict[str, Any], job: str | None) -> Answer:
 
     mesh : as MeshChoice reads it; the layer height is checked only where the job cannot be read
     """
-    from pathlib import Path
-
     from ..core.errors import GcodeError
     from ..core.expected.placing import place
     from ..core.expected.solid import read_solid
@@ -195,15 +198,14 @@ def replay(
     """What would have been concluded from a recording with these settings and this filament: JSON, checks and a summary.
 
     masks : a folder for the masks of each check: 12.seen.png, 12.expected.png, 12.ignored.png. They do not depend on the
-    sensitivity: those that are there stay where nothing else has changed.
+    sensitivity: those that are there stay where nothing else has changed. Folders beside it, of other recordings, go.
     """
     from dataclasses import replace
-    from pathlib import Path
 
     from ..core.checks import Summary
+    from ..core.errors import RecordingError
     from ..core.settings import read_settings
     from .recording import Recording
-    from .renderers import open_renderer
     from .replaying import Replay
 
     opened = Recording.open(recording)
@@ -212,23 +214,33 @@ def replay(
     key = replaying.key()
     checks = replaying.kept() if drawn_for.is_file() and drawn_for.read_text() == key else None
     if checks is None:
-        checks = []
-        drawn_for.unlink(missing_ok=True)
-        for old in Path(masks).glob("*.png"):
-            old.unlink()
-        with open_renderer() as renderer:
-            for number, (check, pictures) in enumerate(replaying.looked(renderer)):
-                checks.append(check)
-                if pictures is not None:
-                    for kind, mask in (
-                        ("seen", pictures.observed),
-                        ("expected", pictures.expected),
-                        ("ignored", pictures.ignored),
-                    ):
-                        Path(masks, f"{number}.{kind}.png").write_bytes(encode_mask(mask))
-        drawn_for.write_text(key)
+        try:
+            checks = _replayed(replaying, Path(masks))
+            drawn_for.write_text(key)
+        except OSError as error:
+            raise RecordingError(f"There is no room for the pictures of a replay: {error.strerror or error}.") from None
     lines = [{**check.to_json(), "id": number} for number, check in enumerate(checks)]
     return {}, [json.dumps({"checks": lines, "summary": Summary.of(checks).to_json()}).encode()]
+
+
+def _replayed(replaying: Replay, masks: Path) -> list[Check]:
+    """The checks, by looking, with their masks in an empty folder. Raises OSError."""
+    import shutil
+
+    from .renderers import open_renderer
+
+    for other in masks.parent.glob("*/"):  # those of one recording are enough
+        shutil.rmtree(other, ignore_errors=True)
+    masks.mkdir(parents=True)
+    checks = []
+    with open_renderer() as renderer:
+        for number, (check, pictures) in enumerate(replaying.looked(renderer)):
+            checks.append(check)
+            if pictures is not None:
+                kinds = {"seen": pictures.observed, "expected": pictures.expected, "ignored": pictures.ignored}
+                for kind, mask in kinds.items():
+                    (masks / f"{number}.{kind}.png").write_bytes(encode_mask(mask))
+    return checks
 
 
 QUESTIONS = {

@@ -113,6 +113,19 @@ def test_thumbnails_go_with_their_recordings(plugin, tmp_path, monkeypatch):
     assert [path.name for path in kept.iterdir()] == [f"{folder.name}.000001.jpg"]
 
 
+def test_a_replay_that_waits_for_its_turn_leaves_the_pictures_of_the_one_that_runs_alone(plugin, tmp_path, monkeypatch):
+    flask = pytest.importorskip("flask")
+    plugin._recordings, plugin._moop_settings = tmp_path / "recordings", Settings()
+    running = tmp_path / "cache" / "replay" / "one"
+    running.mkdir(parents=True)
+    there = []
+    plugin._replay_eye = SimpleNamespace(ask=lambda *_, **__: (there.append(running.is_dir()), ({}, [b"{}"]))[1])
+    monkeypatch.setattr(type(plugin), "_recording", lambda self, name: tmp_path / name)
+    with flask.Flask("test").test_request_context(json={}):
+        type(plugin).post_replay.__wrapped__(plugin, "two")
+    assert there == [True]
+
+
 def test_pictures_of_the_checkerboard_are_those_of_one_webcam(plugin, monkeypatch):
     """A lens from pictures of two cameras would be neither's."""
     flask = pytest.importorskip("flask")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from octoprint_moop.core.errors import RecordingError
 from octoprint_moop.core.expected.raster import CvRenderer
 from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.core.settings import Settings
@@ -156,23 +157,34 @@ def test_the_page_tries_another_sensitivity_without_looking_again_and_its_masks_
     from octoprint_moop.machine import bench, renderers
 
     material = json.loads((with_looks / "recording.json").read_text())["material"]
+    masks, others = tmp_path / "this", tmp_path / "another"
+    others.mkdir()
 
     def tried(**settings: object):
-        _, (text,) = bench.replay([], str(with_looks), material, settings, str(tmp_path))
+        _, (text,) = bench.replay([], str(with_looks), material, settings, str(masks))
         found = json.loads(text)
         summary = {key: value for key, value in found["summary"].items() if not key.startswith("ms_")}
         return [check["verdict"] for check in found["checks"]], summary
 
     monkeypatch.setattr(renderers, "open_renderer", lambda: _Opened())
     first = tried(sensitivity="medium")
-    masks = sorted(path.name for path in tmp_path.glob("*.png"))
-    assert len(masks) == 3 * 12
+    drawn = sorted(path.name for path in masks.glob("*.png"))
+    assert len(drawn) == 3 * 12 and not others.exists()
     monkeypatch.setattr(renderers, "open_renderer", None)  # nobody draws from here on
     assert tried(sensitivity="medium") == first
     assert tried(sensitivity="high")[1]["first_failed_layer"] <= first[1]["first_failed_layer"]
-    assert sorted(path.name for path in tmp_path.glob("*.png")) == masks
+    assert sorted(path.name for path in masks.glob("*.png")) == drawn
     with pytest.raises(TypeError):
         tried(sensitivity="medium", segmentation="thresholds")
+
+
+def test_a_replay_whose_pictures_find_no_room_says_so(with_looks, tmp_path):
+    from octoprint_moop.machine import bench
+
+    material = json.loads((with_looks / "recording.json").read_text())["material"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="There is no room for the pictures of a replay"):
+        bench.replay([], str(with_looks), material, {}, str(tmp_path / "file" / "masks"))
 
 
 class _Opened(CvRenderer):
