@@ -177,3 +177,15 @@ def test_a_plain_picture_is_neither_sure_nor_lost(camera):
         assert watcher.turn(Glance(noisy(plain, rng)), (0, 0, 0)) is STILL
         assert not watcher.sure
         assert not watcher.lost
+
+
+def test_a_camera_that_wobbles_all_print_long_fills_no_memory(camera):
+    rng = np.random.default_rng(5)
+    reference = room(rng)
+    finder, turn, kept_bytes = stabiliser(camera, reference), STILL, []
+    for number in range(16):
+        rvec = np.array([0.9, -0.4, 0.25]) * (2 + 3 * (number % 2) + 0.7 * number) / camera.K[0, 0]
+        before, turn = turn, finder.turn(Glance(noisy(seen_by_turned(reference, camera, rvec), rng)), (0, 0, 0), turn)
+        assert turn is not before
+        kept_bytes.append(sum(kept.nbytes for kept in finder._aim._kept_pixels.values()))
+    assert max(kept_bytes[8:]) <= max(kept_bytes[:8])

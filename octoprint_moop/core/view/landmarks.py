@@ -21,6 +21,7 @@ MOST_CONTRAST = 3.0  # of the picture's: a lamp's reflection must not outweigh t
 SMOOTH_PX, BOX_PX = 1.0, 15
 TELLING = 8.0  # times as unlike beside its place as in it
 NEWEST = 0.2  # weight of the newest frame in what pixels have differed by
+KEPT_TURNS = 16  # sets of pixels, of two turns or three: a camera that wobbles all print long must not fill the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +94,7 @@ class Aim:
         self.shift_mm = shift_mm
         self._camera, self._levels = camera, levels
         self._kept: dict[tuple, np.ndarray] = {}
+        self._kept_pixels: dict[tuple, np.ndarray] = {}
 
     def rays(self, number: int) -> np.ndarray:
         """(n, 3): where the level's pixels would be looked for if the camera had not turned."""
@@ -104,7 +106,12 @@ class Aim:
 
     def pixels(self, number: int, few: slice, rvecs: tuple[tuple[float, ...], ...]) -> np.ndarray:
         """(turns, n, 2) float32, in the level's picture: where its pixels are if the camera has turned by each rvec."""
-        return self._once(("pixels", number, few.step, rvecs), lambda: self._pixels(number, few, rvecs))
+        name = number, few.step, rvecs
+        if name not in self._kept_pixels:
+            while len(self._kept_pixels) >= KEPT_TURNS:
+                self._kept_pixels.pop(next(iter(self._kept_pixels)))
+            self._kept_pixels[name] = self._pixels(number, few, rvecs)
+        return self._kept_pixels[name]
 
     def _once(self, name: tuple, work: Callable[[], np.ndarray]) -> np.ndarray:
         if name not in self._kept:
