@@ -121,10 +121,8 @@ class Ledger:
             self._pictures.popitem(last=False)
         code, blind = None, None
         if check["verdict"] in (blindness.UNUSABLE, blindness.CAMERA_MOVED):
-            code, blind = check["verdict"], check["reason"]
-        if check["total_px"] == 0:
-            code = blindness.OUT_OF_VIEW
-            blind = "Nothing of the print is in view: it is out of the picture, or the head hides it. Park the head."
+            code = blindness.OUT_OF_VIEW if check["total_px"] == 0 else check["verdict"]
+            blind = check["reason"]
         self.note(
             blind=blind, blind_code=code, checks=len(self._checks), last_check=check,
             held_s=round(self._status["held_s"] + held_s, 3),

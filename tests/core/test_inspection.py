@@ -243,6 +243,18 @@ def test_what_is_neither_seen_nor_missed_is_not_known_to_be_well(seen_rows, lost
     assert unseen_and_unmissed(findings, Memory(None, (40, 40))) is unknown
 
 
+def test_a_print_that_lies_beside_the_picture_is_not_said_to_be_well(clogged):
+    recording = Recording.open(clogged)
+    (name, camera), *_ = recording.header.cameras
+    away = replace(camera, tvec_mm=camera.tvec_mm + [1000.0, 0.0, 0.0])
+    header = replace(recording.header, cameras=((name, away),))
+    inspector = Inspector(header, read_gcode(clogged / "job.gcode"), CvRenderer(), reference_bgr=recording.reference())
+    for moment in recording.moments[:3]:
+        check = inspector.check(recording.frame(moment), moment)
+        assert (check.verdict, check.comparison.total_px) == ("unusable", 0)
+        assert check.reason.startswith("Nothing of the print is in view")
+
+
 def test_a_camera_that_was_turned_away_says_so_at_every_layer_until_it_is_back(clogged):
     """What it shows then is another part of the room; no failure follows from that."""
     recording = Recording.open(clogged)

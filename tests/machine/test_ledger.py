@@ -46,8 +46,9 @@ def test_blindness_has_a_code_for_as_long_as_it_lasts():
 def test_a_frame_that_shows_nothing_of_the_print_is_blindness_not_wellbeing():
     ledger = Ledger(lambda kind, payload: None, "1.0")
     ledger.begin("cube")
-    ledger.add(check(total_px=0), {}, 0.1)
-    assert "Nothing of the print is in view" in ledger.status["blind"] and not ledger.status["watching"]
+    ledger.add(check("unusable", reason="Nothing is in view.", total_px=0), {}, 0.1)
+    assert ledger.status["blind"] == "Nothing is in view." and not ledger.status["watching"]
+    assert ledger.status["blind_code"] == blindness.OUT_OF_VIEW
     ledger.add(check("unusable", reason="Too dark.", total_px=None), {}, 0.1)
     assert ledger.status["blind"] == "Too dark."
     ledger.add(check(), {}, 0.1)

@@ -14,6 +14,7 @@ from .spots import disc
 HIDDEN_RATIO = 0.004  # of the complete print, that nothing but an obstacle explains
 HIDDEN = "Something stands in the view: a hand, or a tool?"
 HEAD_HIDES = "The print head hides the print. Let it park for the picture."
+OUT_OF_VIEW = "Nothing of the print is in view: it is out of the picture, or the head hides it. Park the head."
 ALIKE = "Filament and bed look alike here: more light, or a bed of another colour, would help."
 SEEN_LEAST, EXTRA_MOST = 0.4, 1.0  # of what must be seen; until a check was within both, there is nothing to go by
 MISSED_RATIO = 0.1  # of what is not seen; where less is known to be missing or out of place, the rest may be there
@@ -54,6 +55,8 @@ def blocked(
     told_nothing = [mask for mask in (doubtful, expected.ignored) if mask is not None]
     if told_nothing and cv2.countNonZero(expected.mask & union(*told_nothing)) > MOST_HIDDEN_RATIO * wanted:
         return HEAD_HIDES
+    if not comparison.total_px:
+        return OUT_OF_VIEW
     if cv2.countNonZero(expected.mask & unsure) > MOST_UNSURE_RATIO * wanted:
         return ALIKE
     return ALIKE if comparison.extra_px > FLOODED * comparison.total_px else ""
