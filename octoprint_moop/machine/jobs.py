@@ -92,6 +92,21 @@ class Print:
         kinds = [Modes.from_json(kind) for kind in told["modes"]]
         self.modes = dict(zip([*self.bare_ends, *self.ends], (kinds[number] for number in told["mode_of"])))
 
+    def to_be_opened(self, again: bool) -> dict[str, Any]:
+        """What `Eye.open` must be told of it. again : by an eye that does not know any more what it knew"""
+        folder = None if self.recorder is None else self.recorder.folder
+        packed = None if folder is None else folder / "job.gcode.gz"
+        # The packed copy is what is being printed, whatever has become of the file since.
+        job = packed if again and packed is not None and packed.exists() else self.job.path
+        return {
+            "job": None if job is None else str(job),
+            "mesh": self.mesh,
+            "keep_as": None if packed is None else str(packed),
+            "keep_mesh_as": None if folder is None else str(folder / "model.stl"),
+            "recording": str(folder) if again and self.ready and folder is not None else None,
+            "said": self.said,
+        }
+
     def header(self, settings: Settings) -> dict[str, Any]:
         """A recording's header for this print, with the filament's colour as it is set."""
         material = {

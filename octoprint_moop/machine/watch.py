@@ -167,10 +167,6 @@ class Watch:
         if not self._settings.watch_prints:
             self._ledger.blind(blindness.OFF, "Watching is switched off in the settings.")
             return
-        if self._settings.record:
-            budget_bytes = self._settings.recordings_mb * 1_000_000
-            header, tell = current.header(self._settings), self._ledger.recorded
-            current.recorder = Recorder(self._recordings, job.name, header, budget_bytes, tell)
         self._open(current)
 
     def _open(self, current: Print, again: bool = False) -> None:
@@ -180,19 +176,17 @@ class Watch:
         """
         self.holds.plan_none()
         self.holds.let_go("what is known of the print is being learned anew")
-        folder = current.recorder.folder if current.recorder is not None else None
-        packed = folder / "job.gcode.gz" if folder is not None else None
-        # The packed copy is what is being printed, whatever has become of the file since.
-        job = packed if again and packed is not None and packed.exists() else current.job.path
+        if self._settings.record and current.recorder is None and not current.ready:
+            budget_bytes = self._settings.recordings_mb * 1_000_000
+            header, tell = current.header(self._settings), self._ledger.recorded
+            current.recorder = Recorder(self._recordings, current.job.name, header, budget_bytes, tell)
+        known = current.to_be_opened(again)
         again = again and current.ready
         try:
             result, _ = self._eye.ask(
                 "open", *current.reference[:1], timeout_s=READING_S, interrupted=current.job.over,
-                progress=self._reading.so_far, job=None if job is None else str(job), header=current.header(self._settings),
-                settings=asdict(self._settings), mesh=current.mesh, cache=str(self._cache),
-                keep_as=str(packed) if packed is not None else None,
-                keep_mesh_as=str(folder / "model.stl") if folder is not None else None,
-                recording=str(folder) if again and folder is not None else None, said=current.said,
+                progress=self._reading.so_far, header=current.header(self._settings), settings=asdict(self._settings),
+                cache=str(self._cache), **known,
             )  # fmt: skip
         except Interrupted:
             return

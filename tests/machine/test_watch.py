@@ -101,6 +101,22 @@ def test_a_connection_that_could_not_be_held_is_not_held_against_the_next_print(
     endless.watch.job_over("done")
 
 
+def test_a_print_that_is_watched_only_once_somebody_asks_for_it_is_recorded_from_there_on(endless, tmp_path):
+    endless.watch.apply(replace(endless.watch._settings, record=True, watch_prints=False))
+    job = tmp_path / "9.gcode"
+    job.write_text("G1 X1\n")
+    endless.watch.job_started(Job(job.name, str(job), HEADER))
+    endless.wait(lambda: endless.ledger.status["blind_code"] == "off")
+    assert endless.ledger.status["recording"] is None
+    endless.watch.watch_this_print(True)
+    endless.wait(lambda: endless.ledger.status["watching"])
+    assert endless.comes_by(100)
+    endless.wait(lambda: len(endless.ledger.checks) == 1)
+    kept = tmp_path / "recordings" / endless.ledger.status["recording"]
+    assert len((kept / "frames.jsonl").read_text().splitlines()) == 1
+    endless.watch.job_over("done")
+
+
 def test_a_disk_that_fills_up_in_mid_print_is_told_until_the_next_print_begins(endless, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
