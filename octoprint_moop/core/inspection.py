@@ -218,8 +218,9 @@ class Inspector:
         memory.keep_loose(findings.window, findings.loose, findings.seen)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
+            place = view.place(moment)  # one for all: it keeps what it has drawn
             return {
-                outcome.object_id: diagnose(outcome, findings, sight, view.place(moment))
+                outcome.object_id: diagnose(outcome, findings, sight, place)
                 for outcome in ruling.outcomes
                 if outcome.verdict != OK
             }

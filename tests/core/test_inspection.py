@@ -255,6 +255,27 @@ def test_a_print_that_lies_beside_the_picture_is_not_said_to_be_well(clogged):
         assert check.reason.startswith("Nothing of the print is in view")
 
 
+def test_what_lies_above_a_layer_is_drawn_once_whichever_of_the_objects_is_asked_about(tmp_path):
+    folder = make_recording(tmp_path / "shifted", layers=11, faults=(Fault("layer_shift", 8, object_id=None),), seed=2)
+    recording, drawn = Recording.open(folder), []
+
+    class Counting(CvRenderer):
+        def birth_map(self, toolpath, camera, room_from_print_mm, beads=None):
+            drawn.append(None if beads is None else beads.tobytes())
+            return super().birth_map(toolpath, camera, room_from_print_mm, beads)
+
+    inspector = Inspector(
+        recording.header, read_gcode(folder / "job.gcode"), Counting(), reference_bgr=recording.reference()
+    )
+    wrong = 0
+    for moment in recording.moments:
+        drawn.clear()
+        check = inspector.check(recording.frame(moment), moment)
+        wrong = max(wrong, sum(one["verdict"] != "ok" for one in check.objects))
+        assert len(drawn) == len(set(drawn))
+    assert wrong > 1
+
+
 def test_a_camera_that_was_turned_away_says_so_at_every_layer_until_it_is_back(clogged):
     """What it shows then is another part of the room; no failure follows from that."""
     recording = Recording.open(clogged)
