@@ -215,7 +215,7 @@ class Inspector:
         if unseen_and_unmissed(findings, memory):
             return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
         self._seen[moment.camera] = _Seen(view, moment, findings)
-        memory.keep_loose(findings.window, findings.loose, findings.seen)
+        memory.keep_loose(findings.window, findings.loose, findings.seen, findings.known)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
             place = view.place(moment)  # one for all: it keeps what it has drawn

@@ -318,13 +318,26 @@ def test_strands_with_which_the_user_went_on_may_grow_but_others_are_new():
     assert elsewhere.scopes[2].stray_px == pytest.approx(4 * 28, rel=0.1) and elsewhere.scopes[1].stray_px == 0
 
 
+def test_loose_strands_behind_a_head_were_not_taken_away():
+    stage = Stage().printed(12)
+    hanging = strand(170, slice(60, 90))
+    found = stage.look(13, walls(13) | hanging)
+    stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
+    sight = stage.sight(14, walls(14))
+    sight.ignored[150:190, 40:100] = 255
+    hidden = find(sight, stage.memory)
+    stage.memory.keep_loose(hidden.window, hidden.loose, hidden.seen, hidden.known)
+    grown = stage.look(15, walls(15) | hanging | strand(162, slice(55, 85)))
+    assert grown.whole.stray_px == 0
+
+
 def test_once_loose_strands_were_taken_away_new_ones_count_again():
     stage = Stage().printed(12)
     hanging = strand(170, slice(60, 90))
     found = stage.look(13, walls(13) | hanging)
     stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
     cleared = stage.look(14, walls(14))
-    stage.memory.keep_loose(cleared.window, cleared.loose, cleared.seen)
+    stage.memory.keep_loose(cleared.window, cleared.loose, cleared.seen, cleared.known)
     assert not stage.memory.loose(cleared.window).any()
     again = stage.look(15, walls(15) | strand(150, slice(60, 90)))
     assert again.whole.stray_px == pytest.approx(4 * 28, rel=0.1)

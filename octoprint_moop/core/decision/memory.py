@@ -287,13 +287,14 @@ class Memory:
         """bool: matter out of place with which the user went on, and what has grown from it since."""
         return self._loose[window]
 
-    def keep_loose(self, window: Window, loose: np.ndarray, seen: np.ndarray) -> None:
+    def keep_loose(self, window: Window, loose: np.ndarray, seen: np.ndarray, known: np.ndarray) -> None:
         """In a check that could be judged, what hangs loose has spread to `loose`; where hardly any of it is seen, it was
-        taken away. Both bool.
+        taken away. What is not known, behind a head perhaps, may still hang there. All bool.
         """
         self._loose[window] |= loose
-        loose_px = np.count_nonzero(self._loose[window])
-        if loose_px and np.count_nonzero(self._loose[window] & seen) < LOOSE_LEFT * loose_px:
+        asked = self._loose[window] & known
+        asked_px = np.count_nonzero(asked)
+        if asked_px and np.count_nonzero(asked & seen) < LOOSE_LEFT * asked_px:
             self._loose[:] = False
 
     def given_up(self, window: Window) -> np.ndarray:
