@@ -9,6 +9,7 @@ import pytest
 
 from octoprint_moop.core.decision.counts import WHOLE, Evidence
 from octoprint_moop.core.decision.decide import (
+    CONFIRMED,
     CUSUM_FAILED,
     FAILED,
     MATTER_LIMIT_RATIO,
@@ -50,6 +51,15 @@ def verdicts(track, *seen):
 
 def test_nothing_wrong_is_ok_for_ever():
     assert set(verdicts(after_good(), *[evidence()] * 500)) == {OK}
+
+
+@pytest.mark.parametrize("missing", [{"share": 0.0}, {"barren": 900}, {"unseen": 12 * LIMIT_PX}])
+def test_what_one_look_shows_to_have_not_come_may_be_a_picture_from_before_two_looks_tell(missing):
+    late = evidence(**missing)
+    assert verdicts(after_good(), late, evidence(), evidence()) == [SUSPECT, OK, OK]
+    assert verdicts(after_good(), late, late) == [SUSPECT, FAILED]
+    assert judge(after_good(), late, "medium", decisive=CONFIRMED)[0].verdict == FAILED
+    assert verdicts(after_good(), evidence(**missing, lost=4 * LIMIT_PX)) == [FAILED]
 
 
 def test_one_odd_frame_is_suspect_and_fades_away():

@@ -162,6 +162,8 @@ def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = 
     """
     found = surprises(track, evidence, sensitivity)
     size = found[0].size
+    if size > CONFIRMED and surprises(track, _as_if_come(evidence), sensitivity)[0].size < 1:
+        size = CONFIRMED  # a picture from before the last layer shows just that: it takes a second look to tell
     cusum = max(0.0, track.cusum + min(size, DECISIVE + SLACK) - SLACK)
     # a first check has nothing to be compared with: a camera that is set up wrongly looks just like a failure then
     first = not track.lost and track.cusum == 0
@@ -173,6 +175,11 @@ def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = 
     else:
         verdict = OK
     return Outcome(evidence.object_id, verdict, found, cusum), replace(track, cusum=cusum)
+
+
+def _as_if_come(evidence: Evidence) -> Evidence:
+    """The evidence, were all that the last layers should have added seen."""
+    return replace(evidence, unseen_px=0, barren_px=0, fresh=tuple((new_px, new_px) for new_px, _ in evidence.fresh))
 
 
 def blame(outcomes: Sequence[Outcome]) -> list[Outcome]:

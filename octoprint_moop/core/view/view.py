@@ -313,7 +313,8 @@ class View:
             steady.window.in_small(steady.expected.complete, self._place)
         occluders = self._backdrop.occluders
         hiding = occluders.find(steady.small, filament, self._place, unknown)
-        return tuple(steady.window.from_small(one) if one.any() else None for one in (hiding, occluders.foreign))
+        found = [steady.window.from_small(one) if one.any() else None for one in (hiding, occluders.foreign)]
+        return found[0], found[1]
 
     def accept(self, steady: SteadyFrame) -> None:
         """Nothing hides the view in this frame: later ones are compared with it."""
