@@ -12,7 +12,7 @@ from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.decision.spots import near_to, without_specks
 from octoprint_moop.core.expected.views import surroundings
 
-from .stage import BED_BGR, GROUND, LAYER_PX, SHAPE, Stage, moved, wall, walls
+from .stage import BED_BGR, GROUND, LAYER_PX, SHAPE, WALLS, Stage, moved, wall, walls
 
 
 def figures(evidence):
@@ -377,3 +377,16 @@ def test_a_bed_that_moves_carries_the_memory_along():
     stage.memory.carried(np.array([[1, 0, 7.0], [0, 1, -3.0], [0, 0, 1]]), SHAPE)
     there = (slice(0, SHAPE[0]), slice(0, SHAPE[1]))
     assert np.array_equal(stage.memory.standing(there), moved(walls(12), 7, -3))
+
+
+@pytest.mark.parametrize(("seen_columns", "hidden"), [(0, False), (15, True)])
+def test_a_wall_that_ends_in_its_midst_is_half_hidden_and_one_that_is_gone_has_come_off(seen_columns, hidden):
+    """A thing of the bed's colour before it, and nothing lies elsewhere."""
+    stage = Stage()
+    for layer in range(14):
+        stage.good(layer, walls(layer))
+    left = walls(13)
+    left[:, WALLS[0][0] + seen_columns : WALLS[0][1]] = False
+    found = stage.look(13, left)
+    assert (found.hidden_px > 0) == hidden
+    assert found.whole.lost_px > 0

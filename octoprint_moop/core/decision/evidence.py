@@ -41,6 +41,8 @@ REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far 
 LOOSE_PX = 20.0  # at up to 640 pixels across: what comes so near to loose matter is more of it
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
 BARED_RATIO = 0.8
+TORN_RATIO = 0.5  # of what has gone, from torn bodies,
+TORN_LEAST = 0.15  # of which at least so much has gone, and as much stands
 UNTOLD_RATIO, STRAY_RATIO = 0.3, 0.15  # of what stood, and against what has gone
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
@@ -239,7 +241,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
         stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
     gone, gone_px, hidden_px = lost, np.count_nonzero(lost), 0
     if gone_px:
-        hidden_px = _hidden_px(memory, window, look, lost, stray, bed)
+        hidden_px = _hidden_px(memory, window, look, lost, stray, bed, standing)
         lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), wanted_u8)
         if lost.any():
             lost &= ~memory.looks_unlike_bed(window, look, lost, bed)
@@ -309,16 +311,20 @@ def _could_be_matter(
 
 
 def _hidden_px(
-    memory: Memory, window: Window, look: np.ndarray, gone: np.ndarray, stray: np.ndarray, bed: np.ndarray
-) -> int:
+    memory: Memory, window: Window, look: np.ndarray, gone: np.ndarray, stray: np.ndarray, bed: np.ndarray,
+    standing: np.ndarray,
+) -> int:  # fmt: skip
     """How much of the matter that is seen no more has probably only been hidden.
 
     What hides the print looks like neither print nor bed, and hides some of the bed about it; but where the print has
-    come off, matter lies where it did not, whatever its shadow does to the bed.
+    come off, matter lies where it did not, whatever its shadow does to the bed. And a part comes off as a whole: of what is
+    seen to end in its midst, with the rest in its place, the other half is behind something.
     """
     gone_px = np.count_nonzero(gone)
     if gone_px < HIDING_PX or np.count_nonzero(stray) > STRAY_RATIO * gone_px:
         return 0
+    if gone_px > UNTOLD_RATIO * np.count_nonzero(standing) and _torn_px(gone, standing) > TORN_RATIO * gone_px:
+        return int(gone_px)
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)
     most_px = HIDING_RATIO * int(np.count_nonzero(about))
@@ -328,6 +334,14 @@ def _hidden_px(
     if np.count_nonzero(changed) > most_px:
         return int(gone_px)
     return int(np.count_nonzero(memory.looks_strange(window, look, gone)))
+
+
+def _torn_px(gone: np.ndarray, standing: np.ndarray) -> int:
+    """How many pixels have gone from bodies, connected ones, of which a good part is seen where it stood."""
+    labels, areas_px = spots_of(standing)
+    gone_px = np.bincount(labels[gone], minlength=len(areas_px))
+    torn = (gone_px > TORN_LEAST * areas_px) & (gone_px < (1 - TORN_LEAST) * areas_px)
+    return int(gone_px[1:][torn[1:]].sum())
 
 
 def _count(
