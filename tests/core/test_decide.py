@@ -58,6 +58,8 @@ def test_what_one_look_shows_to_have_not_come_may_be_a_picture_from_before_two_l
     late = evidence(**missing)
     assert verdicts(after_good(), late, evidence(), evidence()) == [SUSPECT, OK, OK]
     assert verdicts(after_good(), late, late) == [SUSPECT, FAILED]
+    begun = evidence(unseen=int(0.4 * LIMIT_PX))
+    assert verdicts(after_good(unseen=1), begun, late) == [OK, FAILED]
     assert judge(after_good(), late, "medium", decisive=CONFIRMED)[0].verdict == FAILED
     assert verdicts(after_good(), evidence(**missing, lost=4 * LIMIT_PX)) == [FAILED]
 

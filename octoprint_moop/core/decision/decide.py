@@ -22,6 +22,7 @@ GOOD_CHECKS = 25  # how many good checks make the baseline
 CUSUM_FAILED = 2.0  # sum of surprises above SLACK at which a print has failed
 SLACK = 0.6
 DECISIVE = 3.0  # one check this far above its limits needs no second
+QUIET = 0.3  # of a surprise: less is nothing
 CONFIRMED = 2.0  # the same, where a second frame of the same state has shown it too
 MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
 MATTER_LIMIT_PX = 30
@@ -50,6 +51,7 @@ class Surprise:
 class Track:
     """What the good checks of one scope have shown, and the sum of surprises since.
 
+    last  : the surprise of the last check
     cusum : the sum at the sensitivity that the user chose; teaching_cusum : at that which decides what is learned
     wide  : scales all its limits
     quiet : for so many checks in which new matter comes, its absence is not asked after: the user went on without it
@@ -63,6 +65,7 @@ class Track:
     dim: tuple[float, ...] = ()
     unlike: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
+    last: float = 0.0
     cusum: float = 0.0
     teaching_cusum: float = 0.0
     wide: float = 1.0
@@ -162,7 +165,7 @@ def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = 
     """
     found = surprises(track, evidence, sensitivity)
     size = found[0].size
-    if size > CONFIRMED and surprises(track, _as_if_come(evidence), sensitivity)[0].size < 1:
+    if size > CONFIRMED and track.last < QUIET and surprises(track, _as_if_come(evidence), sensitivity)[0].size < 1:
         size = CONFIRMED  # a picture from before the last layer shows just that: it takes a second look to tell
     cusum = max(0.0, track.cusum + min(size, DECISIVE + SLACK) - SLACK)
     # a first check has nothing to be compared with: a camera that is set up wrongly looks just like a failure then
@@ -174,7 +177,7 @@ def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = 
         verdict = SUSPECT
     else:
         verdict = OK
-    return Outcome(evidence.object_id, verdict, found, cusum), replace(track, cusum=cusum)
+    return Outcome(evidence.object_id, verdict, found, cusum), replace(track, cusum=cusum, last=found[0].size)
 
 
 def _as_if_come(evidence: Evidence) -> Evidence:

@@ -41,6 +41,7 @@ REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far 
 LOOSE_PX = 20.0  # at up to 640 pixels across: what comes so near to loose matter is more of it
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
 BARED_RATIO = 0.8
+UNMOVED_RATIO = 0.9  # of what stands, that looks as it did
 TORN_RATIO = 0.5  # of what has gone, from torn bodies,
 TORN_LEAST = 0.15  # of which at least so much has gone, and as much stands
 UNTOLD_RATIO, STRAY_RATIO = 0.3, 0.15  # of what stood, and against what has gone
@@ -318,13 +319,16 @@ def _hidden_px(
 
     What hides the print looks like neither print nor bed, and hides some of the bed about it; but where the print has
     come off, matter lies where it did not, whatever its shadow does to the bed. And a part comes off as a whole: of what is
-    seen to end in its midst, with the rest in its place, the other half is behind something.
+    seen to end in its midst, with the rest in its place and as it was, the other half is behind something.
     """
     gone_px = np.count_nonzero(gone)
     if gone_px < HIDING_PX or np.count_nonzero(stray) > STRAY_RATIO * gone_px:
         return 0
-    if gone_px > UNTOLD_RATIO * np.count_nonzero(standing) and _torn_px(gone, standing) > TORN_RATIO * gone_px:
-        return int(gone_px)
+    if gone_px > UNTOLD_RATIO * np.count_nonzero(standing):
+        rest = standing & ~gone
+        as_it_was = np.count_nonzero(rest & ~memory.looks_otherwise(window, look, rest))
+        if as_it_was > UNMOVED_RATIO * np.count_nonzero(rest) and _torn_px(gone, standing) > TORN_RATIO * gone_px:
+            return int(gone_px)
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
     changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)
     most_px = HIDING_RATIO * int(np.count_nonzero(about))

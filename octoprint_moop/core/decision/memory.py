@@ -188,6 +188,14 @@ class Memory:
         from_bare, from_covered = self._from_bare(window, look)[few], self._from_covered(window, look)[few]
         return placed(where, few, known & (cv2.min(from_bare, from_covered) > 2 * CHANGED))
 
+    def looks_otherwise(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """bool: of the pixels `where`, those that look otherwise than the matter seen there did."""
+        if not where.any():
+            return where
+        few = about(where)
+        other = self._from_covered(window, look)[few] > CHANGED // 2
+        return placed(where, few, other & self._has_covered[window][few])
+
     def looks_new(
         self, window: Window, look: np.ndarray, where: np.ndarray, change: int = CHANGED, unknown: bool = True
     ) -> np.ndarray:
