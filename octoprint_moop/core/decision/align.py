@@ -61,6 +61,14 @@ class Alignment:
         moved = cv2.warpAffine(labels.view(np.float32), self.inverse_map(0, 0), size, flags=cv2.INTER_NEAREST)
         return moved.view(np.uint32)
 
+    def carried(self, matrix: np.ndarray) -> Alignment:
+        """The same displacements of a print that is seen elsewhere now. matrix : (3, 3), new pixels from old ones"""
+        x, y = self.middle_px
+        across = np.array([[x, x + self.reach_px, x], [y, y, y + self.reach_px], [1, 1, 1]])
+        middle, right, down = (matrix @ across / (matrix[2] @ across))[:2].T
+        reach_px = float(np.sqrt(abs(np.linalg.det([right - middle, down - middle]))))
+        return replace(self, middle_px=(float(middle[0]), float(middle[1])), reach_px=max(reach_px, 1.0))
+
     def within(self, most_px: float) -> Alignment:
         """The same, or as much of it as displaces the print by no more than `most_px`."""
         values = np.array([*self.offset_px, *self.shear_px])

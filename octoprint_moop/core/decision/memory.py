@@ -322,6 +322,7 @@ class Memory:
         self._covered, self._bare = (np.stack([warp(plane) for plane in kept]) for kept in (self._covered, self._bare))
         for name in ("_has_covered", "_has_bare", "_given_up", "_loose"):
             setattr(self, name, warp(getattr(self, name).view(np.uint8)) > 0)
+        self.alignment = self.alignment.carried(matrix)
         self._forget_compared()
 
     def recalibrated(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
