@@ -27,7 +27,7 @@ from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.expected.views import ExpectedViews
 from octoprint_moop.core.view.backdrop import Backdrop
 from octoprint_moop.core.view.glance import Glance
-from octoprint_moop.core.view.stabilise import STILL
+from octoprint_moop.core.view.turns import STILL
 from octoprint_moop.machine.renderers import open_renderer
 
 MODELS = Path(os.environ.get("MOOP_SHARED", ROOT.parent / "shared")) / "data" / "gcode-zoo"
@@ -68,7 +68,7 @@ def measure(seed: int, renderer: Any) -> list[dict[str, Any]]:
             seen = turned(frame, camera, rvec) * gain + rng.normal(0, 1.0, frame.shape)
             stabiliser = backdrop.stabiliser
             told = stabiliser.turn(Glance(np.clip(seen, 0, 255).astype(np.uint8)), moment.position_mm, STILL)
-            off_px = stabiliser.apart_px(told, type(told)(rvec, size_px)) / px
+            off_px = stabiliser.turns.apart_px(told.rvec, rvec) / px
             outcome = "found elsewhere"
             if told is STILL if not size_px else off_px < max(1.0, size_px / 8):
                 outcome = "found"

@@ -8,7 +8,8 @@ import pytest
 
 from octoprint_moop.core.camera import BedMotion, Camera
 from octoprint_moop.core.view.glance import Glance
-from octoprint_moop.core.view.stabilise import STILL, Stabiliser
+from octoprint_moop.core.view.stabilise import Stabiliser
+from octoprint_moop.core.view.turns import STILL
 
 SIZE = (640, 480)
 BED_MM = ((0.0, 0.0), (250.0, 210.0))
@@ -83,7 +84,7 @@ def test_undoing_a_turn_gives_the_calibrated_view_back(camera):
     rvec = np.array([0.01, -0.006, 0.004])
     watcher = stabiliser(camera, reference)
     frame = seen_by_turned(reference, camera, rvec)
-    steady, outside = watcher.undo(frame, watcher.turn(Glance(frame), (0, 0, 0)))
+    steady, outside = watcher.turns.undo(frame, watcher.turn(Glance(frame), (0, 0, 0)))
     inside = cv2.erode(cv2.bitwise_not(outside), np.ones((9, 9), np.uint8)) > 0
     before = np.abs(frame.astype(int) - reference)[inside].mean()
     after = np.abs(steady.astype(int) - reference)[inside].mean()

@@ -16,7 +16,6 @@ picture, each by itself, find it likelier than that the camera stands where it s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -24,6 +23,7 @@ import numpy as np
 from ..camera import BedMotion, Camera
 from .glance import Glance, shrunk
 from .landmarks import MOST_CONTRAST, Aim, Level, Relief, in_level, noise, region_of, strongest_in_each_cell
+from .turns import STILL, CameraTurn, Turns
 
 SCALES = (4, 2, 1)  # of the image pyramid, coarse to fine, against the finest: about 320 pixels across
 COARSEST, FINEST = 0, len(SCALES) - 1
@@ -52,24 +52,6 @@ CORRELATED, UNCERTAIN_PX = (
     6.0,
     0.4,
 )  # neighbours err alike: so many count as one; the turn's standard deviation, at most
-WARP_GRID = 16  # the warp is smooth: it is computed on a coarse grid and interpolated
-
-
-@dataclass(frozen=True, eq=False)
-class CameraTurn:
-    """How the camera has turned since the reference picture.
-
-    rvec      : (3,) float64, radians: rotates directions of the calibrated camera into the turned one
-    motion_px : by how much a pixel has moved, root mean square over the picture; 0 where it stands still
-    """
-
-    rvec: np.ndarray
-    motion_px: float
-
-
-STILL = CameraTurn(np.zeros(3), 0.0)
-
-Part = tuple  # (slice, slice): rows and columns of the whole picture
 
 
 class Stabiliser:
@@ -95,9 +77,7 @@ class Stabiliser:
         self._contrast = 1.0
         self._levels = [self._level(pyramid, number, background, shift_mm, bed_mm) for number in range(len(SCALES))]
         self._aim = Aim(camera, self._levels, shift_mm)
-        grid_px = self._grid_px()
-        self._grid_rays, self._grid = camera.rays(grid_px), grid_px
-        self._undone: tuple[CameraTurn, dict] = STILL, {}
+        self.turns = Turns(camera)
         self._usual: dict[CameraTurn, float] = {}  # the mean loss at the last turn, at best
         self._learned = 0
         self.sure = False
@@ -166,7 +146,7 @@ class Stabiliser:
         badly = self._known and bool(old.mean() > BADLY)
         starts = [last.rvec]
         for start in (self._first_guess(pyramid[COARSEST], last.rvec), STILL.rvec):
-            if all(self._apart_px(start, other) > SEARCH_STEP_PX / 2 * self._px for other in starts):
+            if all(self.turns.apart_px(start, other) > SEARCH_STEP_PX / 2 * self._px for other in starts):
                 starts.append(start)
         found = [self._aligned(pyramid, start) for start in starts]
         rvec = min(found, key=lambda rvec: float(self._losses(pyramid, rvec).sum()))
@@ -176,9 +156,9 @@ class Stabiliser:
                 self._learn(pyramid, last)
             return last
         self.sure = self._known = True
-        if self._apart_px(rvec, last.rvec) < NOTICEABLE_PX * self._px:
+        if self.turns.apart_px(rvec, last.rvec) < NOTICEABLE_PX * self._px:
             return last
-        motion_px = self._motion_px(rvec)
+        motion_px = self.turns.motion_px(rvec)
         return CameraTurn(rvec, motion_px) if motion_px >= NOTICEABLE_PX * self._px else STILL
 
     def _stands(self, pyramid: _Pyramid, last: CameraTurn) -> bool:
@@ -248,34 +228,6 @@ class Stabiliser:
     def _turned_by(self, right_px: float, down_px: float) -> np.ndarray:
         """(3,) the rotation vector that moves the picture's middle by so much, pixels at 640 across."""
         return np.array([-down_px * self._px / self._camera.K[1, 1], right_px * self._px / self._camera.K[0, 0], 0.0])
-
-    def undo(
-        self, picture_bgr: np.ndarray, turn: CameraTurn, part: Part | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """A picture of the whole view, large or small, as the calibrated camera would have seen it, or only the rows and
-        columns `part` of that; and uint8 of the same height and width, 255 where it saw nothing."""
-        if self._undone[0] is not turn:
-            self._undone = turn, {}
-        height, width = picture_bgr.shape[:2]
-        rows, columns = part or (slice(0, height), slice(0, width))
-        wanted = (width, height, rows.start, rows.stop, columns.start, columns.stop)
-        if wanted not in self._undone[1]:
-            self._undone[1][wanted] = self._maps(turn, (width, height), rows, columns)
-        map_x, map_y, outside = self._undone[1][wanted]
-        return cv2.remap(picture_bgr, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), outside
-
-    def _maps(
-        self, turn: CameraTurn, size_px: tuple[int, int], rows: slice, columns: slice
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Two maps for cv2.remap, and where they lead out of the picture."""
-        width, height = size_px
-        scale = np.divide(size_px, self._camera.image_size_px)
-        coarse = (self._displacement(turn.rvec) * scale).astype(np.float32)
-        fine = cv2.resize(coarse, size_px, interpolation=cv2.INTER_LINEAR)[rows, columns]
-        x = fine[..., 0] + np.arange(width, dtype=np.float32)[columns]
-        y = fine[..., 1] + np.arange(height, dtype=np.float32)[rows, None]
-        outside = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
-        return (*cv2.convertMaps(x, y, cv2.CV_16SC2), np.where(outside, np.uint8(255), np.uint8(0)))
 
     def _seen(self, number: int, relief: Relief, rvec: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the pixels `which`, by how much more they show than the reference, and whether each is in the picture."""
@@ -350,29 +302,6 @@ class Stabiliser:
         _, covariance = self._step(FINEST, residual[inside], which[inside])
         sigma_px = self._camera.K[0, 0] * float(np.sqrt(CORRELATED * np.linalg.eigvalsh(covariance)[-1]))
         return sigma_px < UNCERTAIN_PX * self._px
-
-    def _grid_px(self) -> np.ndarray:
-        """(WARP_GRID², 2) float64: a grid over the view, where cv2.resize expects the pixels that it interpolates between."""
-        width, height = self._camera.image_size_px
-        x = (np.arange(WARP_GRID) + 0.5) * width / WARP_GRID - 0.5
-        y = (np.arange(WARP_GRID) + 0.5) * height / WARP_GRID - 0.5
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-
-    def _displacement(self, rvec: np.ndarray) -> np.ndarray:
-        """(WARP_GRID, WARP_GRID, 2) float64 pixels: by how much a grid over the calibrated view has moved."""
-        moved = self._camera.turned(rvec).project(self._grid_rays) - self._grid
-        return np.nan_to_num(moved).reshape(WARP_GRID, WARP_GRID, 2)
-
-    def apart_px(self, one: CameraTurn, other: CameraTurn) -> float:
-        """By how much a pixel moves between two turns, root mean square over the picture."""
-        return 0.0 if one is other else self._apart_px(one.rvec, other.rvec)
-
-    def _apart_px(self, one: np.ndarray, other: np.ndarray) -> float:
-        difference = self._displacement(one) - self._displacement(other)
-        return float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
-
-    def _motion_px(self, rvec: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(np.sum(self._displacement(rvec) ** 2, axis=-1))))
 
 
 class _Pyramid:

@@ -25,7 +25,8 @@ from .clearance import Clearance
 from .glance import Glance
 from .light import LightChange
 from .place import Place
-from .stabilise import STILL, CameraTurn, Stabiliser
+from .stabilise import Stabiliser
+from .turns import STILL, CameraTurn, Turns
 from .usable import Repeats, refuse_unusable
 from .window import Window
 
@@ -64,7 +65,7 @@ class SteadyFrame:
     turned: bool
     sure: bool
     _whole_bgr: np.ndarray
-    _stabiliser: Stabiliser
+    _turns: Turns
     _turn: CameraTurn
     _light: LightChange
 
@@ -72,7 +73,7 @@ class SteadyFrame:
         """(H, W, 3) uint8 BGR: the whole frame."""
         whole = self._whole_bgr
         if self._turn is not STILL:
-            whole, _ = self._stabiliser.undo(whole, self._turn)
+            whole, _ = self._turns.undo(whole, self._turn)
         return self._light.undone(whole)
 
 
@@ -220,7 +221,9 @@ class View:
         backdrop = self._backdrop_at(whole_bgr, moment, expected)
         stabiliser = backdrop.stabiliser
         turn = stabiliser.turn(glance, moment.position_mm, self._turn)
-        turned = stabiliser.apart_px(turn, self._turn) > SETTLED_PX * self._camera.image_size_px[0] / 640
+        turned = (
+            stabiliser.turns.apart_px(turn.rvec, self._turn.rvec) > SETTLED_PX * self._camera.image_size_px[0] / 640
+        )
         moved = LOST if stabiliser.lost else self._notice(turn, stabiliser)
         if not moved and self._find_markers(whole_bgr, turn, stabiliser, moment):
             expected = self.expected(moment)
@@ -229,12 +232,12 @@ class View:
         if turn is STILL:
             part, small = window.of(glance), glance.quarter
         else:
-            part, outside = (window.resized(one) for one in stabiliser.undo(whole_bgr, turn, window.part))
-            small, _ = stabiliser.undo(glance.quarter, turn)
+            part, outside = (window.resized(one) for one in stabiliser.turns.undo(whole_bgr, turn, window.part))
+            small, _ = stabiliser.turns.undo(glance.quarter, turn)
         light = backdrop.light.change(small)
         return SteadyFrame(
             window, light.undone(part, window.box), outside, self._in_window(expected), expected, light.undone(small),
-            moved, turned, stabiliser.sure, whole_bgr, stabiliser, turn, light,
+            moved, turned, stabiliser.sure, whole_bgr, stabiliser.turns, turn, light,
         )  # fmt: skip
 
     def observe(self, steady: SteadyFrame, moment: Moment) -> Observation:
@@ -274,7 +277,7 @@ class View:
         if layer < 0 or not self._markers.wanted(float(self._toolpath.layer_z_mm[layer])):
             return False
         if turn is not STILL:
-            whole_bgr, _ = stabiliser.undo(whole_bgr, turn)
+            whole_bgr, _ = stabiliser.turns.undo(whole_bgr, turn)
         pose, top_mm = np.array(self._expected.pose(moment.position_mm)), float(self._toolpath.layer_z_mm[layer])
         found = self._markers.camera(whole_bgr, self._camera, pose, top_mm)
         if found is None:
@@ -366,10 +369,10 @@ class View:
         A turn that two frames agree on is where the camera stands from now on: its view is found again.
         """
         finer = self._camera.image_size_px[0] / 640
-        if stabiliser.apart_px(turn, self._turn) < MOVED_PX * finer:
+        if stabiliser.turns.apart_px(turn.rvec, self._turn.rvec) < MOVED_PX * finer:
             self._turn = self._pending = turn
             return ""
-        if stabiliser.apart_px(turn, self._pending) < SAME_TURN_PX * finer:
+        if stabiliser.turns.apart_px(turn.rvec, self._pending.rvec) < SAME_TURN_PX * finer:
             self._turn = turn
             return ""
         self._pending = turn
