@@ -250,10 +250,8 @@ class Scope:
             would_differ = out | (above & ~there)
             hits = np.count_nonzero(would_differ & near)
             explained = np.count_nonzero(self._beyond & told) + np.count_nonzero(differs & ~self._beyond & ~there)
-            seen_ratio, told_ratio = (
-                hits / max(np.count_nonzero(would_differ), 1),
-                explained / np.count_nonzero(differs),
-            )
+            seen_ratio = hits / max(int(np.count_nonzero(would_differ)), 1)
+            told_ratio = explained / int(np.count_nonzero(differs))
             ratio = 2 * seen_ratio * told_ratio / max(seen_ratio + told_ratio, 1e-6)
             middle = middle_of(part) + self._origin_px
             out_px, seen_px = np.count_nonzero(out), np.count_nonzero(out & near)

@@ -103,7 +103,7 @@ class Occluders:
         self._reference = self._recent = reference_bgr
         self._last: np.ndarray | None = None
         self._still_for = np.zeros(reference_bgr.shape[:2], np.int16)
-        self.foreign = np.zeros(reference_bgr.shape[:2], np.uint8)
+        self.foreign: np.ndarray = np.zeros(reference_bgr.shape[:2], np.uint8)
         """255 where in the last frame something stands that looks like filament and came in through the picture's rim."""
 
     def refer_to(self, reference_bgr: np.ndarray) -> None:
