@@ -90,6 +90,7 @@ def test_a_head_that_goes_on_is_motion(frame, step_px):
 
 def test_a_hand_is_found_and_filament_is_not_taken_for_one(frame):
     occluders = Occluders(small(frame))
+    occluders.accept(small(frame))
     with_hand = frame.copy()
     cv2.ellipse(with_hand, (500, 340), (90, 120), 30, 0, 360, (130, 160, 220), -1)
     nothing = np.zeros((120, 160), np.uint8)
@@ -114,6 +115,7 @@ def test_what_has_crept_in_slowly_and_was_accepted_hides_nothing(frame):
 
 def test_a_hand_that_moves_on_keeps_hiding_the_view(frame):
     occluders, nothing = Occluders(small(frame)), np.zeros((120, 160), np.uint8)
+    occluders.accept(small(frame))
     for x in (500, 400, 300):
         with_hand = cv2.ellipse(frame.copy(), (x, 380), (90, 90), 0, 0, 360, (130, 160, 220), -1)
         cv2.ellipse(with_hand, (x, 380), (40, 20), x, 0, 360, (40, 60, 90), -1)
@@ -121,14 +123,17 @@ def test_a_hand_that_moves_on_keeps_hiding_the_view(frame):
 
 
 def test_what_stands_elsewhere_than_for_the_reference_and_stays_there_is_scenery(frame):
-    """A gantry beside the print is scenery at the second look, a thing before the print's place only at the fourth."""
+    """A gantry beside the print is scenery at the second look, and at once where nothing was seen since the reference; a
+    thing before the print's place only at the fourth."""
     changed = frame.copy()
     changed[40:120] = (180, 170, 60)
     apart, before = np.zeros((2, 120, 160), np.uint8)
     apart[75:100, 50:100] = 255
     before[25:100, 50:100] = 255
-    for place, looks in ((apart, 1), (before, 3)):
+    for place, seen_before, looks in ((apart, True, 1), (apart, False, 0), (before, True, 3), (before, False, 3)):
         occluders = Occluders(small(frame))
+        if seen_before:
+            occluders.accept(small(frame))
         found = [occluders.find(small(changed), np.zeros_like(place), place).any() for _ in range(5)]
         assert found == [True] * looks + [False] * (5 - looks)
 

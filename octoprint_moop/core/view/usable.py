@@ -90,7 +90,8 @@ class Occluders:
     """Finds what newly stands in the view and is not filament: a hand, a tool, the head where it should not be.
 
     Hands come and go. A gantry that stood elsewhere for the reference, a door that was shut, a box put beside the
-    printer: what lies as it did a frame ago belongs to the scene from then on. Where it may hide the print that takes longer.
+    printer: what lies as it did a frame ago belongs to the scene from then on. Where it may hide the print that takes longer,
+    and beside the print what the first frame shows has not newly come: between it and the reference much was moved.
 
     A thing of the filament's colour is told by where it came from: only through the picture's rim does anything come before
     the camera, and what a print sheds begins at the print. So what hangs together with the rim, and is no strand, is none
@@ -102,6 +103,7 @@ class Occluders:
     def __init__(self, reference_bgr: np.ndarray) -> None:
         self._reference = self._recent = reference_bgr
         self._last: np.ndarray | None = None
+        self._accepted = False
         self._still_for = np.zeros(reference_bgr.shape[:2], np.int16)
         self.foreign: np.ndarray = np.zeros(reference_bgr.shape[:2], np.uint8)
         """255 where in the last frame something stands that looks like filament and came in through the picture's rim."""
@@ -141,7 +143,7 @@ class Occluders:
         hiding, self.foreign = np.zeros((2, *blobs.shape), np.uint8)
         for blob in _large(blobs):
             hides = (blob & print_and_about).any()
-            if np.median(self._still_for[blob]) < (STILL_NEAR if hides else STILL_APART):
+            if np.median(self._still_for[blob]) < (STILL_NEAR if hides else STILL_APART if self._accepted else 0):
                 hiding[blob] = 255
         beside = (filament > 0) & (_about(place) == 0)
         for blob in came_in:
@@ -155,7 +157,7 @@ class Occluders:
         """The frame is good: what it shows is what the view looks like now, but for what does not belong there."""
         if self.foreign.any():
             small_bgr = np.where(self.foreign[..., None] > 0, self._recent, small_bgr)
-        self._recent = small_bgr
+        self._recent, self._accepted = small_bgr, True
 
 
 def _opened(changed: np.ndarray) -> np.ndarray:
