@@ -198,6 +198,11 @@ def test_a_shift_within_the_band_about_edges_is_told_by_what_sticks_out_and_what
         assert "right" in found.sentence and millimetres(found.sentence) == pytest.approx(2 / PX_PER_MM, abs=0.3)
 
 
+def test_such_a_shift_of_one_of_two_objects_alone_is_none():
+    matter = walls(17) | moved(wall(0, 23, 18), 2, 0) | wall(1, 23)
+    assert named(23, matter, 0, good_upto=17).mode != "layer_shift"
+
+
 def test_where_newest_layers_are_missing_and_nothing_sticks_out_there_is_no_shift_however_well_one_would_hide_them():
     assert named(23, walls(20), good_upto=20).mode == "extrusion_failure"
 

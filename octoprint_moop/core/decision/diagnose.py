@@ -46,8 +46,9 @@ def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -
     if shift is None and scope.has_others:
         # axes that slip displace what is laid of all objects, and all of them together show it best
         shift = everything.newest_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
-    if shift is None:
+    if shift is None and everything.moved_away(place) is None:
         shift = everything.slightly_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
+        shift = shift if shift and scope.others_moved(shift.layer, slightly=True) else None
     lift = scope.lifted_corner(place)
     if lift and (shift is None or _plainer(lift, shift)):
         return _lifted(lift, scope, place)

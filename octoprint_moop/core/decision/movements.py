@@ -196,7 +196,7 @@ class Scope:
             return self.newest_shifted(covered)
         near = [move for move in moves if move.explained_ratio >= best.explained_ratio - AS_GOOD]
         first = min(near, key=lambda move: move.layer)
-        return first if self._others_moved(first.layer) else None
+        return first if self.others_moved(first.layer) else None
 
     def newest_shifted(self, covered: Callable[[int], np.ndarray]) -> Move | None:
         """How the newest layers are displaced, where what lies beside the print is their own pattern of lines, in which the
@@ -238,10 +238,9 @@ class Scope:
         free = self._known & ~self._foreign & (cv2.dilate(self._wanted.view(np.uint8), disc(1)) == 0)
         near, best = cv2.dilate(differs.view(np.uint8), disc(1)) > 0, None
         for layer in (self._layer - back for back in LAYERS_BACK):
-            part = covered(layer) & ~self._foreign
-            if layer < 1 or np.count_nonzero(part) < LEAST_PART_PX:
+            part, above = covered(layer) & ~self._foreign, newest & (self._layer_of >= layer)
+            if layer < 1 or min(np.count_nonzero(part), np.count_nonzero(above)) < LEAST_PART_PX:
                 continue
-            above = newest & (self._layer_of >= layer)
             pays = (self._beyond | (above & self._observed)).astype(np.float32)
             pays -= (free & ~self._beyond) | (above & ~self._observed)
             offset_px = best_place(part, pays, round(SLIGHT_REACH_PX * self._finer))
@@ -286,11 +285,15 @@ class Scope:
     def _beside(self) -> Beside:
         return Beside(self.stray, self._wanted, self._foreign | ~self._known, self._finer)
 
-    def _others_moved(self, layer: int) -> bool:
-        """Whether the other objects are out of place above that layer too, as axes that slip amid it make them."""
+    def others_moved(self, layer: int, slightly: bool = False) -> bool:
+        """Whether the other objects are out of place above that layer too, as axes that slip amid it make them.
+
+        slightly : then what is not seen of them says so as well
+        """
         later = np.bincount(self._owner[(self._layer_of > layer) & self._all_wanted] + 1, minlength=len(self._scopes))
         others = [one for one in self._others if later[one.object_id + 1] >= OTHERS_LEAST_PX]
-        moved = [one for one in others if one.stray_px + one.rim_px + one.lost_px >= OTHERS_MOVED_PX]
+        out_px = [one.stray_px + one.rim_px + one.lost_px + slightly * one.unseen_px for one in others]
+        moved = [one_px for one_px in out_px if one_px >= OTHERS_MOVED_PX]
         return 2 * len(moved) >= len(others)
 
     def lifted_corner(self, place: Place, least_ratio: float = EXPLAINED_RATIO) -> Lift | None:
