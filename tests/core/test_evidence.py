@@ -299,6 +299,25 @@ def test_where_the_bed_is_seen_instead_a_patch_of_another_light_beside_it_hides_
     assert found.hidden_px == 0 and found.whole.lost_px > 100
 
 
+def test_noise_that_changes_every_pixel_of_the_bed_hides_nothing_where_a_part_has_gone():
+    stage = Stage().printed(12)
+    sight = stage.sight(13, wall(1, 13))
+    noise = np.random.default_rng(5).normal(0, 25, sight.frame_bgr.shape)
+    sight.frame_bgr[:] = np.clip(sight.frame_bgr + noise, 0, 255)
+    found = find(sight, stage.memory)
+    assert found.whole.lost_px > 1000
+    assert found.hidden_px < 0.1 * found.whole.lost_px
+
+
+def test_what_segmentation_misses_and_the_picture_still_shows_is_not_hidden_whatever_light_falls_beside_it():
+    stage, missed = Stage().printed(12), np.zeros(SHAPE, bool)
+    missed[150:180, 90:110] = True
+    sight = stage.sight(13, walls(13), observed=walls(13) & ~missed)
+    sight.frame_bgr[140:200, 60:88] += 20
+    found = find(sight, stage.memory)
+    assert found.hidden_px == 0 and found.whole.lost_px == 0
+
+
 def strand(row: int, columns: slice) -> np.ndarray:
     mask = np.zeros(SHAPE, bool)
     mask[row : row + 4, columns] = True

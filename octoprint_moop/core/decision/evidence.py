@@ -40,7 +40,7 @@ RIM_PX = 1.0
 REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far off stray matter may begin
 LOOSE_PX = 20.0  # at up to 640 pixels across: what comes so near to loose matter is more of it
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
-BARED_RATIO = 0.8
+BARED_RATIO, HIDING_BARED_RATIO = 0.8, 0.5
 UNMOVED_RATIO = 0.75  # of what stands, that looks as it did; at its edges what was new has grown since
 TORN_RATIO = 0.5  # of what has gone, from torn bodies,
 TORN_LEAST = 0.15  # of which at least so much has gone, and as much stands
@@ -330,13 +330,14 @@ def _hidden_px(
         if as_it_was > UNMOVED_RATIO * np.count_nonzero(rest) and _torn_px(gone, standing) > TORN_RATIO * gone_px:
             return int(gone_px)
     about = bed & (cv2.dilate(gone.astype(np.uint8), disc(AROUND_PX)) > 0)
-    changed = memory.looks_new(window, look, about, HIDING_CHANGE, unknown=False)
-    most_px = HIDING_RATIO * int(np.count_nonzero(about))
-    # where the very bed is seen instead, it takes a good part of what is around to say that something else is
-    if np.count_nonzero(memory.looks_bare(window, look, gone)) < BARED_RATIO * gone_px:
-        most_px = min(most_px, float(gone_px))
+    changed = memory.bed_changed(window, look, about, HIDING_CHANGE)
+    about_px = np.count_nonzero(about)
+    # where the very bed is seen instead, it takes most of what is around to say that something else is
+    bared = np.count_nonzero(memory.looks_bare(window, look, gone)) >= BARED_RATIO * gone_px
+    most_px = HIDING_BARED_RATIO * about_px if bared else min(HIDING_RATIO * about_px, float(gone_px))
     if np.count_nonzero(changed) > most_px:
-        return int(gone_px)
+        # what segmentation misses and the picture still shows is not hidden
+        return int(gone_px - np.count_nonzero(memory.looks_covered(window, look, gone)))
     return int(np.count_nonzero(memory.looks_strange(window, look, gone)))
 
 

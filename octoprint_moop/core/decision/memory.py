@@ -99,6 +99,16 @@ class Memory:
         like_bare = np.where(has_covered, nearer, from_bare < CHANGED)
         return placed(where, few, np.where(has_bare, like_bare, ~has_covered | (from_covered > CHANGED)))
 
+    def looks_covered(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """bool: of the pixels `where`, those of which the picture bears out that the matter seen there still lies there."""
+        if not where.any():
+            return where
+        few = about(where)
+        known = self._has_bare[window][few] & self._has_covered[window][few]
+        from_bare, from_covered = self._from_bare(window, look)[few], self._from_covered(window, look)[few]
+        nearer = (from_covered < np.float32(MUCH_NEARER) * from_bare) & (from_bare > CHANGED)
+        return placed(where, few, known & nearer)
+
     def looks_unchanged(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look just as they did without matter, which was never seen there."""
         if not where.any():
@@ -132,12 +142,23 @@ class Memory:
         """uint8, 0 or 255: of the pixels `where`, 0 or 255, those about which the picture shows the bare bed."""
         if not where.any():
             return where
-        few, side = about(where), (BED_SIDE_PX, BED_SIDE_PX)
-        now, then = (np.stack([cv2.blur(plane[few], side) for plane in kept]) for kept in (look, self.bare(window)))
-        apart = _most_apart(now, then)
+        few = about(where)
         shows = np.zeros_like(where)
-        shows[few][(apart < UNCHANGED) & self._has_bare[window][few]] = 255
+        shows[few][(self._bed_apart(window, look, few) < UNCHANGED) & self._has_bare[window][few]] = 255
         return shows & where
+
+    def bed_changed(self, window: Window, look: np.ndarray, where: np.ndarray, change: int) -> np.ndarray:
+        """bool: of the pixels `where`, those about which the bed looks otherwise by more than so many grey levels."""
+        if not where.any():
+            return where
+        few = about(where)
+        return placed(where, few, (self._bed_apart(window, look, few) > change) & self._has_bare[window][few])
+
+    def _bed_apart(self, window: Window, look: np.ndarray, few: Window) -> np.ndarray:
+        """uint8, of `few` rows and columns: the largest difference from the bare bed in any channel, of pixels together."""
+        side = (BED_SIDE_PX, BED_SIDE_PX)
+        now, then = (np.stack([cv2.blur(plane[few], side) for plane in kept]) for kept in (look, self.bare(window)))
+        return _most_apart(now, then)
 
     def drift(self, window: Window, look: np.ndarray, where: np.ndarray, beside: np.ndarray) -> float:
         """Grey levels by which the pixels `where` have changed since they were bare, on average, less what those `beside` have.
