@@ -236,7 +236,8 @@ class Inspector:
                 near, bed = findings.window, np.zeros_like(head)
                 bed[near] = memory.shows_bed(near, findings.look, head[near] & ~observed[near])
                 view.clearance.learn(window, moment.position_mm, lies & head, bed)
-            memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known)
+            doubtful = findings.lost | findings.stray
+            memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known, doubtful)
             good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
             if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:

@@ -299,6 +299,19 @@ def test_where_the_bed_is_seen_instead_a_patch_of_another_light_beside_it_hides_
     assert found.hidden_px == 0 and found.whole.lost_px > 100
 
 
+def test_a_fault_that_stays_below_all_limits_is_not_learned_as_it_comes_but_in_the_end():
+    stage, lost_px = Stage().printed(12), []
+    foot, strand_px = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
+    foot[170:180, 90:112] = strand_px[150:160, 60:86] = True
+    for layer in range(13, 39):
+        found = stage.look(layer, walls(layer) & ~foot | strand_px)
+        doubtful = found.lost | found.stray
+        stage.memory.learn(found.window, found.wanted, found.look, found.seen, found.known, doubtful)
+        lost_px.append((found.whole.lost_px, found.whole.stray_px))
+    assert min(lost_px[6]) > 0.8 * min(lost_px[0]) > 80
+    assert lost_px[-1] == (0, 0)
+
+
 def test_noise_that_changes_every_pixel_of_the_bed_hides_nothing_where_a_part_has_gone():
     stage = Stage().printed(12)
     sight = stage.sight(13, wall(1, 13))

@@ -16,6 +16,7 @@ CREEPING_CHECKS, CREEP_PX = 4, 0.3  # by so little in so many, as a print grows 
 SETTLING_REACH_PX, RESETTLING_CHECKS = 6, 2
 UNTOLD_PX = 3.0  # what contours may be off while too few of them found an edge: as much as a band is ever widened by
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
+DOUBTFUL = 0.25  # so much less where it shows what is out of place
 STANDING, CHRONIC = 0.6, 0.35
 LOOK_NEWEST = 0.36  # the same for its look, which follows the light
 MUCH_NEARER = 0.6
@@ -272,14 +273,21 @@ class Memory:
         return self._bare[:, window[0], window[1]]
 
     def learn(
-        self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray, known: np.ndarray
-    ) -> None:
-        """Take in a good check. wanted, observed, known : bool"""
+        self, window: Window, wanted: np.ndarray, look: np.ndarray, observed: np.ndarray, known: np.ndarray,
+        doubtful: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
+        """Take in a good check. wanted, observed, known, doubtful : bool
+
+        doubtful : out of place, but not enough for a suspicion; a fault that grows slowly must not be learned as it comes
+        """
         self._checks += 1
         seen = observed & ~self.looks_unchanged(window, look, observed)
         matter, fresh = self._matter[window], wanted & seen & known & ~self._has_covered[window]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
-        cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, known.view(np.uint8))
+        sure = known if doubtful is None else known & ~doubtful
+        cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, sure.view(np.uint8))
+        if doubtful is not None and doubtful.any():
+            cv2.accumulateWeighted(seen.view(np.uint8), matter, DOUBTFUL * weight, (known & doubtful).view(np.uint8))
         matter[fresh] = 1.0
         for kept, has, where in (
             (self._covered, self._has_covered[window], seen & known),
