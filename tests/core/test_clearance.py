@@ -84,11 +84,12 @@ def test_a_part_of_the_head_that_looks_like_the_bed_is_not_free(camera):
     clearance, now = Clearance(camera, BedMotion()), PLACES[0]
     for _ in range(2):
         clearance.learn(WINDOW, now, NOTHING, beneath(camera, now))
-    around, below = (np.full_like(NOTHING, 255) for _ in range(2))
-    around[beneath(camera, now) > 0] = 255
-    below[cv2.boundingRect(beneath(camera, now))[1] + 10 :] = 0
-    assert not clearance.free(WINDOW, now, around)[1].any()
-    assert clearance.free(WINDOW, now, below)[1].any()
+    x, y, width, height = cv2.boundingRect(beneath(camera, now))
+    around, above = np.zeros((2, *NOTHING.shape), np.uint8)
+    around[y - 20 : y + height + 20, x - 20 : x + width + 20] = 255
+    above[: y + 10] = 255
+    assert not (clearance.free(WINDOW, now, around)[1] & around).any()
+    assert (clearance.free(WINDOW, now, above)[1] & above).any()
 
 
 @pytest.mark.parametrize(("beside_px", "counts"), [(0, True), (80, True), (400, False)])

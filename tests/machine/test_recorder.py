@@ -168,6 +168,12 @@ def test_a_recording_is_counted_once_when_it_has_ended_and_by_its_files_where_it
     assert [recording.bytes - size for recording, size in zip(kept(tmp_path), found)] == [0, 5000]
 
 
+def test_a_print_makes_room_for_itself_as_it_begins(tmp_path):
+    old = record(tmp_path, "old", ["ok"] * 5)
+    Recorder(tmp_path, "new", HEADER, 1000)
+    assert not old.is_dir()
+
+
 def test_a_long_print_makes_room_for_itself_when_the_budget_is_used_up(tmp_path):
     old = record(tmp_path, "old", ["ok"] * 5)
     recorder = Recorder(tmp_path, "long", HEADER, 60_000)
