@@ -254,7 +254,9 @@ class Scope:
             ratio = 2 * seen_ratio * told_ratio / max(seen_ratio + told_ratio, 1e-6)
             middle = middle_of(part) + self._origin_px
             out_px, seen_px = np.count_nonzero(out), np.count_nonzero(out & near)
-            if 2 * seen_px < out_px or seen_px < max(SLIGHT_OUT_LEAST_PX, SLIGHT_OUT_RATIO * hits):
+            bared = above & ~there  # strands that happen to lie on one side leave the other in its place
+            half_in_place = 2 * np.count_nonzero(bared & near) < np.count_nonzero(bared)
+            if half_in_place or 2 * seen_px < out_px or seen_px < max(SLIGHT_OUT_LEAST_PX, SLIGHT_OUT_RATIO * hits):
                 continue
             if ratio >= SLIGHT_RATIO and (best is None or ratio > best.explained_ratio):
                 best = Move(tuple(middle), tuple(middle + offset_px), ratio, told_ratio, layer)
