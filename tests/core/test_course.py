@@ -11,7 +11,16 @@ from octoprint_moop.core.checks import Check
 from octoprint_moop.core.decision.compare import Comparison
 from octoprint_moop.core.decision.counts import WHOLE, Evidence
 from octoprint_moop.core.decision.course import Course, Courses, Look
-from octoprint_moop.core.decision.decide import FAILED, MATTER_LIMIT_RATIO, OK, SUSPECT, UNUSABLE, accept
+from octoprint_moop.core.decision.decide import (
+    FAILED,
+    MATTER_LIMIT_RATIO,
+    OK,
+    PARDON,
+    SUSPECT,
+    UNUSABLE,
+    accept,
+    pardon,
+)
 from octoprint_moop.core.decision.diagnose import Diagnosis
 from octoprint_moop.core.header import Moment
 
@@ -128,6 +137,36 @@ def test_what_the_user_accepted_is_judged_anew():
     assert verdict(course, look(5.0)) == FAILED
     course.begin_anew(accept)
     assert verdict(course, look(), again=True) == OK  # there is nothing left that could be confirmed
+
+
+def test_whatever_failed_before_the_user_said_that_it_had_not_is_less_easily_surprising_and_nothing_else():
+    def with_stray(*limits: float) -> Look:
+        """So many limits of stray matter beside each of the objects, and all of it beside the whole."""
+        scopes = (look(sum(limits)).scopes[0], *(look(each).scopes[0] for each in limits))
+        return replace(look(), scopes=tuple(replace(one, object_id=n - 1) for n, one in enumerate(scopes)))
+
+    course = Course("medium")
+    for _ in range(10):
+        course.rule(with_stray(0, 0, 0))
+    for limits in ((5, 0, 0), (0, 5, 0)):
+        failed = {one.object_id for one in course.rule(with_stray(*limits)).outcomes if one.verdict == FAILED}
+        assert failed == {WHOLE, limits.index(5)}
+    course.begin_anew(pardon)
+    wide = {n: track.wide for n, track in course._state.tracks.items()}
+    assert wide == {WHOLE: PARDON, 0: PARDON, 1: PARDON, 2: 1.0}
+
+
+def test_only_a_look_at_the_same_state_can_be_a_second_one():
+    def cusum(file_pos: int) -> float:
+        """Of a good look that says that it is a second one, after one that found much at 100."""
+        courses = Courses("medium")
+        for _ in range(10):
+            courses.rule(look(), Moment("", 0, 0, (0.0, 0.0, 0.0)))
+        courses.rule(look(2.0), Moment("", 100, 0, (0.0, 0.0, 0.0)))
+        _, ruling = courses.rule(look(), Moment("", file_pos, 0, (0.0, 0.0, 0.0), again=True))
+        return ruling.worst.cusum
+
+    assert cusum(100) == 0 < cusum(200)
 
 
 def test_matter_of_an_object_with_whose_failure_the_user_went_on_is_not_missed_from_the_whole():
