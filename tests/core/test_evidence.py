@@ -422,3 +422,11 @@ def test_a_wall_that_ends_in_its_midst_is_half_hidden_and_one_that_is_gone_has_c
     found = stage.look(13, left)
     assert (found.hidden_px > 0) == hidden
     assert found.whole.lost_px > 0
+
+
+@pytest.mark.parametrize(("top", "counts"), [(0, False), (12, True)])
+def test_matter_beside_a_print_that_hangs_together_with_the_pictures_rim_has_come_from_outside(top, counts):
+    stage = Stage().printed(12)
+    sleeve = np.zeros(SHAPE, bool)
+    sleeve[top : GROUND - 10, 62:84] = True
+    assert (stage.look(13, walls(13) | sleeve).whole.stray_px > 500) == counts

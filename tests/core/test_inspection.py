@@ -19,6 +19,7 @@ from octoprint_moop.core.header import Moment
 from octoprint_moop.core.inspection import Inspector
 from octoprint_moop.core.segmentation.segment import HsvThresholds
 from octoprint_moop.core.settings import Settings
+from octoprint_moop.core.view.stabilise import Stabiliser
 from octoprint_moop.demo.faults import Fault
 from octoprint_moop.machine.recording import Recording
 
@@ -52,6 +53,20 @@ def test_a_clog_is_caught_once_it_shows_and_stays_a_failure_while_nobody_says_ot
     first = verdicts.index("failed")
     assert FAULT_LAYER <= first <= FAULT_LAYER + 3
     assert set(verdicts[first:]) == {"failed"}
+
+
+def test_once_the_view_was_lost_nothing_fails_until_something_tells_where_the_camera_stands(clogged, monkeypatch):
+    frames, measure = iter(range(99)), Stabiliser.turn
+    lost_at, found_at = FAULT_LAYER - 1, FAULT_LAYER + 6
+
+    def turn(self, *look):
+        found, frame = measure(self, *look), next(frames)
+        self.lost, self.sure = frame == lost_at, not lost_at <= frame < found_at
+        return found
+
+    monkeypatch.setattr(Stabiliser, "turn", turn)
+    verdicts = [check.verdict for check in checks(clogged)]
+    assert verdicts[lost_at] == "camera_moved" and verdicts.index("failed") >= found_at
 
 
 def test_dark_filament_on_a_dark_sheet_is_unusable_with_the_reason(tmp_path):

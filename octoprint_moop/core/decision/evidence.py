@@ -239,7 +239,7 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     rim &= ~memory.looks_shaded(window, look, rim)
     if stray.any():
         stray &= ~(memory.looks_shaded(window, look, stray) & within(wanted_u8, SHADE_PX * sight.finer))
-        stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight))
+        stray = near_to(wanted_u8, without_specks(stray), _reach_px(sight)) & ~_reaching_in(sight, window)
     gone, gone_px, hidden_px = lost, np.count_nonzero(lost), 0
     if gone_px:
         hidden_px = _hidden_px(memory, window, look, lost, stray, bed, standing)
@@ -277,6 +277,18 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     return Findings(
         window, wanted, look, observed, known, standing, lost, stray, rim, unseen, hidden_px, untold_px, scopes, loose
     )
+
+
+def _reaching_in(sight: Sight, window: Window) -> np.ndarray:
+    """bool: matter in the view that hangs together with its rim, and not with the print: it has come from outside."""
+    labels, areas_px = spots_of(sight.observed > 0)
+    at_rim, with_print = np.zeros((2, len(areas_px)), bool)
+    for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        at_rim[side] = True
+    with_print[labels[cv2.dilate(sight.expected.mask, disc(2 * sight.tolerance_px)) > 0]] = True
+    outside = at_rim & ~with_print
+    outside[0] = False
+    return outside[labels[window]]
 
 
 def _could_have_come(stray: np.ndarray, laid_px: float, lost_px: int) -> np.ndarray:

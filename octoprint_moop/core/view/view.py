@@ -51,7 +51,8 @@ class SteadyFrame:
     expected : what must be seen in the window; whole : in the whole picture, in its own size
     small    : `Glance.quarter` of the whole, steady and in the reference's light
     moved    : the sentence for the user where the camera has just been moved, else ""
-    turned   : the camera stands a little elsewhere than in the frame before, and no second frame has borne that out yet
+    turned   : the camera stands a little elsewhere than in the frame before, and no second frame has borne that out yet; or
+    the view was lost, and nothing has told since where it stands
     sure     : the frame has told where the camera stands
     """
 
@@ -99,6 +100,7 @@ class View:
         self._repeats = Repeats()
         self._turn = STILL  # the last turn that was accepted as where the camera now stands
         self._pending = STILL
+        self._lost = False
         self._backdrop: Backdrop | None = None
         self._segmenter: Segmenter
         self._memory: Memory | None = None
@@ -224,6 +226,7 @@ class View:
         turned = (
             stabiliser.turns.apart_px(turn.rvec, self._turn.rvec) > SETTLED_PX * self._camera.image_size_px[0] / 640
         )
+        self._lost = stabiliser.lost or (self._lost and not stabiliser.sure)
         moved = LOST if stabiliser.lost else self._notice(turn, stabiliser)
         if not moved and self._find_markers(whole_bgr, turn, stabiliser, moment):
             expected = self.expected(moment)
@@ -237,7 +240,7 @@ class View:
         light = backdrop.light.change(small)
         return SteadyFrame(
             window, light.undone(part, window.box), outside, self._in_window(expected), expected, light.undone(small),
-            moved, turned, stabiliser.sure, whole_bgr, stabiliser.turns, turn, light,
+            moved, turned or self._lost, stabiliser.sure, whole_bgr, stabiliser.turns, turn, light,
         )  # fmt: skip
 
     def observe(self, steady: SteadyFrame, moment: Moment) -> Observation:
