@@ -285,7 +285,7 @@ def _reaching_in(sight: Sight, window: Window) -> np.ndarray:
     at_rim, with_print = np.zeros((2, len(areas_px)), bool)
     for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         at_rim[side] = True
-    with_print[labels[cv2.dilate(sight.expected.mask, disc(2 * sight.tolerance_px)) > 0]] = True
+    with_print[labels[sight.expected.mask > 0]] = True
     outside = at_rim & ~with_print
     outside[0] = False
     return outside[labels[window]]
