@@ -18,7 +18,7 @@ from .usable import Occluders
 SAME_POSE_MM = 0.5
 FAR = 2.0  # pictures: what was seen further off is not seen now, and a lens bends it beyond measure
 GRID = (64, 48)  # rays over the picture, at which the bed is looked for
-FITTED = 200  # of the points where they meet it tell about so many how it has moved
+FITTED = 60  # of the points where they meet it tell about so many how it has moved
 RIM_RATIO = 15 / 640  # of the picture's width
 
 
@@ -45,6 +45,7 @@ class Backdrop:
         self._bed_mm = bed_mm = ((left, front), (left + printer.width_mm, front + printer.depth_mm))
         grid_px = np.stack(np.meshgrid(*(np.arange(n) for n in GRID)), -1).reshape(-1, 2)
         pixels = (grid_px + 0.5) * np.array(camera.image_size_px) / GRID - 0.5
+        self._bed_before: dict[tuple[int, int], np.ndarray] = {}  # by the picture's size
         self._rays_in_room = camera.rays(pixels) @ camera.camera_from_room[:3, :3]
         self.stabiliser = Stabiliser(camera, printer.bed, bed_mm, reference_bgr, position_mm, expected.complete)
         self.occluders = Occluders(self._small_bgr)
@@ -78,9 +79,9 @@ class Backdrop:
         everywhere = np.full((height, width), 255, np.uint8)
         if np.abs(shift_mm - self._reference_shift_mm).max() < SAME_POSE_MM:
             return reference_bgr, everywhere
-        (bed_before, _), (bed_now, points_mm) = (
-            self._bed_seen(shift, (width, height)) for shift in (self._reference_shift_mm, shift_mm)
-        )
+        if (width, height) not in self._bed_before:
+            self._bed_before[width, height] = self._bed_seen(self._reference_shift_mm, (width, height))[0]
+        bed_before, (bed_now, points_mm) = self._bed_before[width, height], self._bed_seen(shift_mm, (width, height))
         motion = self._motion(points_mm, shift_mm, (width, height))
         if motion is None:
             return reference_bgr, cv2.bitwise_not(cv2.bitwise_or(bed_now, bed_before))
