@@ -117,8 +117,8 @@ def test_labels_are_displaced_to_where_the_picture_shows_them():
 
 def test_a_misfit_goes_along_with_a_print_that_is_seen_elsewhere_because_its_bed_has_moved():
     memory = Memory(None, (200, 300))
-    memory.alignment = align.Alignment((1.0, -0.5), (0.6, 0.2, -0.3, 0.4), (80.0, 60.0), 40.0)
-    before, points = memory.alignment, np.array([[60.0, 40.0], [100.0, 80.0], [80.0, 60.0]])
+    memory.misfit.alignment = align.Alignment((1.0, -0.5), (0.6, 0.2, -0.3, 0.4), (80.0, 60.0), 40.0)
+    before, points = memory.misfit.alignment, np.array([[60.0, 40.0], [100.0, 80.0], [80.0, 60.0]])
     moved = np.array([[1.5, 0, 40.0], [0, 1.5, -10.0], [0, 0, 1]])
     memory.carried(moved, (200, 300))
-    assert memory.alignment.at(points * 1.5 + [40, -10]) == pytest.approx(before.at(points))
+    assert memory.misfit.alignment.at(points * 1.5 + [40, -10]) == pytest.approx(before.at(points))

@@ -33,17 +33,17 @@ def test_a_calibration_that_is_pixels_off_is_found_before_the_first_verdict(off)
     for layer in range(10):
         found = stage.good(layer, moved(walls(layer), *off))
         assert found.whole.lost_px == found.whole.stray_px == found.whole.barren_px == 0
-    assert stage.memory.alignment.offset_px == pytest.approx(off, abs=0.3)
+    assert stage.memory.misfit.alignment.offset_px == pytest.approx(off, abs=0.3)
 
 
 def test_a_look_without_contours_does_not_unsettle_what_contours_have_told():
     stage = Stage()
     stage.good(5, moved(walls(5), 3, 0))
-    told = stage.memory.alignment
+    told = stage.memory.misfit.alignment
     blots = np.zeros(SHAPE, bool)
     blots[120:160:8, 92:230:9] = True
     stage.look(6, moved(walls(6), 3, 0), observed=blots)
-    assert stage.memory.alignment == told and stage.memory.fitted
+    assert stage.memory.misfit.alignment == told and stage.memory.misfit.fitted
 
 
 @pytest.mark.parametrize(("right_px", "counts"), [(2, False), (6, True)])
@@ -52,13 +52,13 @@ def test_while_no_contour_has_told_where_a_print_is_what_lies_close_beside_it_ma
     blot = np.zeros(SHAPE, bool)
     blot[172:176, 150 + right_px : 152 + right_px] = True  # no more of the print is seen
     found = stage.look(3, blot)
-    assert not stage.memory.fitted and (found.whole.stray_px > 0) is counts
+    assert not stage.memory.misfit.fitted and (found.whole.stray_px > 0) is counts
 
 
 def test_a_print_that_slid_on_a_bed_that_stands_still_is_not_taken_for_a_camera_that_moved():
     stage = Stage(textured=True).printed(12)
     found = stage.look(13, moved(walls(13), 5, 0))
-    assert found.moved_px == 0 and stage.memory.alignment.most_px < 0.5
+    assert found.moved_px == 0 and stage.memory.misfit.alignment.most_px < 0.5
     # each wall leaves a strip of 5 px less what lies within 1.5 px of matter, over the height that stood before
     assert found.whole.lost_px == pytest.approx(2 * 4 * 13 * LAYER_PX, rel=0.1)
     assert found.whole.stray_px == pytest.approx(2 * 3 * 14 * LAYER_PX, rel=0.1)
@@ -165,7 +165,7 @@ def test_matter_in_shade_that_looks_as_the_bed_did_has_not_gone_while_the_bed_li
 def test_a_line_of_single_pixels_at_contours_that_are_known_to_be_off_is_no_missing_matter(spread_px, counted):
     """How a failure is named may still depend on such a line."""
     stage = Stage().printed(20)
-    stage.memory.spread_px = spread_px
+    stage.memory.misfit.spread_px = spread_px
     matter = walls(21)
     matter[: GROUND - 22 * LAYER_PX + 3] = False
     found = stage.look(21, matter)

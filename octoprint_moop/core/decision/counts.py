@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .memory import about
+from .spots import about
 
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 WHOLE = -1

@@ -28,9 +28,10 @@ import numpy as np
 from ..expected.views import Expected, PrintMap, box_about
 from . import align
 from .counts import WHOLE, WINDOWS, Counter, Evidence
-from .memory import Memory, Window, about, placed, planes, register
+from .memory import Memory, planes
+from .misfit import register
 from .shade import is_shaded_matter
-from .spots import disc, near_to, spots_of, within, without_hollows, without_specks
+from .spots import Window, about, disc, near_to, placed, spots_of, within, without_hollows, without_specks
 
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
@@ -138,7 +139,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     slide alike; and one that moved by hardly more than the tolerance, or in a view of which nothing tells where the camera
     stands, is given the benefit of the doubt: what is laid next shows whether it was the print.
     """
-    window, before = findings.window, memory.alignment
+    window, before = findings.window, memory.misfit.alignment
     finer = sight.finer
     reach_px = int(MOVED_REACH_PX * finer)
     # what shines like filament where the head may be says little of the print, but enough of where all of it is
@@ -150,7 +151,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     moved_px = float(np.sqrt(np.mean(np.sum((found.alignment.at(points) - before.at(points)) ** 2, axis=1))))
     if moved_px < 0.5:
         return None
-    memory.alignment = found.alignment
+    memory.misfit.alignment = found.alignment
     explained = _weigh(sight, memory, window)
     if _out_of_place_px(explained) < MOVED_LEFT * _out_of_place_px(findings):
         off_print = cv2.dilate(sight.expected.complete[window], disc(BED_BEGINS_PX * finer)) == 0
@@ -159,7 +160,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
         unsure = moved_px < UNSURE_PX * finer or _pieces(findings.wanted) > 1 or not sight.sure
         if bed_moved or (bed_moved is None and unsure):
             return replace(explained, moved_px=moved_px)
-    memory.alignment = before
+    memory.misfit.alignment = before
     return None
 
 
@@ -198,11 +199,11 @@ def _aligned(sight: Sight, alignment: align.Alignment, window: Window) -> tuple[
 
 
 def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
-    look, observed_u8, ignored = _aligned(sight, memory.alignment, window)
+    look, observed_u8, ignored = _aligned(sight, memory.misfit.alignment, window)
     wanted_u8 = sight.expected.mask[window]
     wanted, observed, known = wanted_u8 > 0, observed_u8 > 0, ignored == 0
     # no narrower than what the print's contours have shown of camera and segmentation
-    edge = disc(min(max(sight.tolerance_px, memory.spread_px + 1.0), 2 * sight.tolerance_px))
+    edge = disc(min(max(sight.tolerance_px, memory.misfit.spread_px + 1.0), 2 * sight.tolerance_px))
     near_wanted = cv2.dilate(wanted_u8, edge) > 0
     near_observed = cv2.dilate(observed_u8, disc(1.5)) > 0
     # a lone line of a bead's width is seen or not as the light falls: only what is wider can be lost
@@ -220,12 +221,12 @@ def _weigh(sight: Sight, memory: Memory, window: Window) -> Findings:
     unchanged = memory.looks_unchanged(window, look, recent & observed)
     # what the first layer covers has told by its second successor whether it came
     # where nothing is seen nothing can be fitted: then the camera is believed
-    inside = cv2.erode(wanted_u8, edge if memory.fitted else disc(sight.tolerance_px)) > 0
+    inside = cv2.erode(wanted_u8, edge if memory.misfit.fitted else disc(sight.tolerance_px)) > 0
     deep = (recent if sight.layer <= FIRST_LAYERS else later) & inside
     barren = unchanged | memory.looks_bare(window, look, deep & ~near_observed & ~memory.ever_seen(window))
     barren &= deep
     # contours that are known to be off by more than a pixel hide a layer's height
-    off_px = round(memory.spread_px - 0.5) if memory.fitted else 0
+    off_px = round(memory.misfit.spread_px - 0.5) if memory.misfit.fitted else 0
     covered = observed if off_px < 1 else cv2.dilate(observed_u8, disc(off_px)) > 0
     # what was seen in a good check has come; whether it has gone again is asked above
     unseen = (unchanged & later) | memory.looks_bare(window, look, later & ~covered & ~memory.ever_seen(window))

@@ -1,20 +1,14 @@
-"""What each pixel of a view has shown while all was well, and by how much the calibration is off."""
+"""What each pixel of a view has shown while all was well."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from . import align
-from .align import Alignment
+from .misfit import SETTLING_CHECKS, Misfit
+from .spots import Window, about, placed
 
-SETTLING_CHECKS = 4  # good checks before the misfit is taken for known; from then on it only creeps,
 SURROUNDINGS_EVERY = 4  # good checks
-CREEPING_CHECKS, CREEP_PX = 4, 0.3  # by so little in so many, as a print grows out of the height at which it was found
-SETTLING_REACH_PX, RESETTLING_CHECKS = 6, 2
-UNTOLD_PX = 3.0  # what contours may be off while too few of them found an edge: as much as a band is ever widened by
 NEWEST = 0.12  # weight of the newest good check in what a pixel has shown so far
 DOUBTFUL = 0.25  # so much less where it shows what is out of place
 STANDING, CHRONIC = 0.6, 0.35
@@ -28,8 +22,6 @@ BED_SIDE_PX = 7  # by so many pixels together, since noise alone changes one
 BED_LEAST_PX, BED_CLEARLY = 60, 0.8
 LOOSE_LEFT = 0.25  # of loose matter; where less is seen, somebody has taken it away
 CHANGED = 18  # grey levels in any channel by which a pixel looks unlike another time
-
-Window = tuple  # (slice, slice): rows and columns
 
 
 def planes(picture_bgr: np.ndarray) -> np.ndarray:
@@ -46,7 +38,7 @@ def planes(picture_bgr: np.ndarray) -> np.ndarray:
 class Memory:
     """Fading means over the good checks of one view: whether a pixel was matter, and how it looked with and without.
 
-    Windows are rows and columns of the expected mask; frames are laid upon it by `alignment` and cut to the window before
+    Windows are rows and columns of the expected mask; frames are laid upon it by `misfit` and cut to the window before
     they come in here. A `look` is what such a frame shows, as `planes` gives it.
     """
 
@@ -64,13 +56,8 @@ class Memory:
         self._given_up = np.zeros(shape, bool)
         self._loose = np.zeros(shape, bool)
         self._compared: tuple[np.ndarray | None, Window | None, dict[str, np.ndarray]] = (None, None, {})
-        self._checks = self._crept = 0
-        self._settled_at = SETTLING_CHECKS
-        self.alignment = Alignment()
-        self.fitted = False
-        """Whether contours of the print have told where it is in the picture; else it is where most of it is explained."""
-        self.spread_px = UNTOLD_PX
-        """How far most contours of the print still lay from their edges, halo included, when last it was aligned."""
+        self._checks = 0
+        self.misfit = Misfit()
 
     def standing(self, window: Window) -> np.ndarray:
         """bool: pixels that have mostly been seen as matter; none before the first good check."""
@@ -351,14 +338,13 @@ class Memory:
         self._covered, self._bare = (np.stack([warp(plane) for plane in kept]) for kept in (self._covered, self._bare))
         for name in ("_has_covered", "_has_bare", "_given_up", "_loose"):
             setattr(self, name, warp(getattr(self, name).view(np.uint8)) > 0)
-        self.alignment = self.alignment.carried(matrix)
+        self.misfit.carried(matrix)
         self._forget_compared()
 
     def recalibrated(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
         """The print is expected elsewhere from now on, where it was seen to be. As `carried`."""
         self.carried(matrix, shape)
-        self._settled_at = self._checks + RESETTLING_CHECKS  # what the better camera leaves is looked for anew
-        self.alignment = replace(self.alignment, offset_px=(0.0, 0.0), shear_px=(0.0, 0.0, 0.0, 0.0))
+        self.misfit.begin_anew(self._checks)
 
     @property
     def wants_surroundings(self) -> bool:
@@ -366,22 +352,8 @@ class Memory:
         return self._checks < SETTLING_CHECKS or self._checks % SURROUNDINGS_EVERY == 0
 
     def settle(self, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray) -> None:
-        """Before the first good checks: find the misfit anew, as far off as may be; later, now and then, a little of it.
-
-        window, wanted : of the expected mask, bool; observed, ignored : the whole picture's, uint8
-        """
-        if self._checks < self._settled_at:
-            found = register(window, wanted, observed, ignored, SETTLING_REACH_PX)
-            # what contours have told before is better than what one look without them suggests
-            if found is not None and (found.share > 0 or not self.fitted):
-                self.alignment = found.alignment.within(align.MOST_PX)
-                self.fitted, self.spread_px = found.share > 0, _spread(found)
-        elif self._checks % CREEPING_CHECKS == 0 and self._crept != self._checks:
-            self._crept = self._checks
-            top, left = window[0].start, window[1].start
-            fitted = align.fit(wanted, left, top, observed > 0, ignored == 0, self.alignment)
-            if fitted is not None:
-                self.alignment = self.alignment.towards(fitted.alignment, CREEP_PX)
+        """Have the misfit found, or followed; see `Misfit.settle`."""
+        self.misfit.settle(self._checks, window, wanted, observed, ignored)
 
     def bed_moved(self, window: Window, still: np.ndarray, moved: np.ndarray, off_print: np.ndarray) -> bool | None:
         """Whether the bed agrees that the picture has moved; None where it shows too little to tell.
@@ -398,55 +370,7 @@ class Memory:
         return apart_moved < apart_still
 
 
-def register(
-    window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray, reach_px: int
-) -> align.Fit | None:
-    """Where in the picture the print is, looked for as far as `reach_px` away; None where too little of it is seen.
-
-    window, wanted : of the expected mask, bool; observed, ignored : the whole picture's, uint8
-    """
-    if not wanted.any():
-        return None
-    few = about(
-        cv2.dilate(wanted.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)
-    )  # contours and what is beside them
-    wanted, observed, known = wanted[few], observed > 0, ignored == 0
-    rows, columns = (slice(whole.start + part.start, whole.start + part.stop) for whole, part in zip(window, few))
-    rim = ((max(reach_px - rows.start, 0), max(rows.stop + reach_px - observed.shape[0], 0)),
-           (max(reach_px - columns.start, 0), max(columns.stop + reach_px - observed.shape[1], 0)))  # fmt: skip
-    around = (
-        slice(max(rows.start - reach_px, 0), rows.stop + reach_px),
-        slice(max(columns.start - reach_px, 0), columns.stop + reach_px),
-    )
-    seen, sure = (np.pad(mask[around], rim, constant_values=False) for mask in (observed, known))
-    start = align.about(wanted, columns.start, rows.start)
-    offset = align.coarse(wanted, seen, sure, reach_px)
-    start = replace(start, offset_px=(float(offset[0]), float(offset[1])))
-    found = align.fit(wanted, columns.start, rows.start, observed, known, start)
-    return found or align.Fit(start, 0.0, np.zeros(0), 0.0)
-
-
-def _spread(found: align.Fit) -> float:
-    """Within how many pixels most contours lie."""
-    if not len(found.residual_px):
-        return UNTOLD_PX
-    return float(np.percentile(np.abs(found.residual_px), 90)) + max(found.halo_px, 0.0)
-
-
-def about(where: np.ndarray) -> Window:
-    """The rows and columns that hold all pixels of a bool mask, one at least; beyond, nothing needs to be worked out."""
-    x, y, w, h = cv2.boundingRect(where.view(np.uint8))
-    return slice(y, y + max(h, 1)), slice(x, x + max(w, 1))
-
-
 def _most_apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(h, w) uint8: the largest difference of two (3, h, w) in any of the three channels."""
     blue, green, red = (cv2.absdiff(now, then) for now, then in zip(one, other))
     return cv2.max(cv2.max(blue, green), red)
-
-
-def placed(where: np.ndarray, few: Window, values: np.ndarray) -> np.ndarray:
-    """bool, of the shape of `where`: of its pixels, those of which the bool `values` of the `few` rows and columns say so."""
-    whole = np.zeros(where.shape, bool)
-    np.logical_and(values, where[few], out=whole[few])
-    return whole

@@ -7,10 +7,23 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from .memory import about, placed
-
 SPECK_PX = 6
 HOLLOW_RIM_PX, HOLLOW_LEAST_PX = 1.5, 3
+
+Window = tuple  # (slice, slice): rows and columns
+
+
+def about(where: np.ndarray) -> Window:
+    """The rows and columns that hold all pixels of a bool mask, one at least; beyond, nothing needs to be worked out."""
+    x, y, w, h = cv2.boundingRect(where.view(np.uint8))
+    return slice(y, y + max(h, 1)), slice(x, x + max(w, 1))
+
+
+def placed(where: np.ndarray, few: Window, values: np.ndarray) -> np.ndarray:
+    """bool, of the shape of `where`: of its pixels, those of which the bool `values` of the `few` rows and columns say so."""
+    whole = np.zeros(where.shape, bool)
+    np.logical_and(values, where[few], out=whole[few])
+    return whole
 
 
 def near_to(wanted: np.ndarray, mask: np.ndarray, reach_px: float) -> np.ndarray:

@@ -253,7 +253,7 @@ class View:
 
     def _where_it_lies(self, steady: SteadyFrame, moment: Moment) -> Expected:
         """What must be seen, where this print's contours have shown it to be seen."""
-        alignment = self.memory(moment).alignment
+        alignment = self.memory(moment).misfit.alignment
         if alignment.most_px < DISPLACED_PX:
             return steady.expected
         part = steady.expected.silhouette
