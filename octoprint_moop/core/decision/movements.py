@@ -16,7 +16,8 @@ import numpy as np
 
 from .counts import WHOLE, WINDOWS
 from .evidence import Findings, Sight
-from .outlines import Beside, Likeness, best_place, displaced, filled
+from .outlines import Beside, Likeness
+from .shapes import best_place, box_of, displaced, drawn, filled, middle_of, turned, turned_on_bed
 from .spots import disc
 
 EXPLAINED_RATIO = 0.5  # a movement that takes away less of the difference explains nothing
@@ -160,7 +161,7 @@ class Scope:
         loose = self._loose()
         rest = self._standing & ~loose
         for turn_deg in TURNS_DEG:
-            move = self._best_move(_turned(loose, turn_deg), rest)
+            move = self._best_move(turned(loose, turn_deg), rest)
             if move is None or move.distance_px < least_px:
                 continue
             if best is None or move.explained_ratio > best.explained_ratio:
@@ -319,7 +320,7 @@ class Scope:
         heights = np.array([0.0, *(place.layer_z_mm(n) for n in range(self._layer + 1))])
         z_mm = heights[np.clip(self._layer_of[rows, columns] + 1, 0, self._layer + 1)]
         bed_mm = (pixels - pixels.mean(axis=0)) @ (at_mm[1:] - at_mm[0]) + z_mm[:, None] * above_mm
-        few = _box(body, round(LIFTS_PX[-1]) + 2)
+        few = box_of(body, round(LIFTS_PX[-1]) + 2)
         corner_px = np.array([few[1].start, few[0].start])
         still, seen, counts = (mask[few] for mask in (self._wanted & ~body, self._seen, self._counts))
         elsewhere_px = self.wrong_px - int(np.count_nonzero((self._wanted[few] ^ seen) & counts))
@@ -331,7 +332,7 @@ class Scope:
             share = np.clip((out - inmost) / max(outmost - inmost, 1e-6), 0, 1)
             for bend, lift_px in product(LIFT_BENDS, LIFTS_PX):
                 risen = pixels - corner_px + (lift_px * share**bend)[:, None] * (up_px / np.hypot(*up_px))
-                there = _drawn(risen, still.shape) | still
+                there = drawn(risen, still.shape) | still
                 left_px = elsewhere_px + int(np.count_nonzero((there ^ seen) & counts))
                 explained = 1 - left_px / max(self.wrong_px, 1)
                 if best is None or explained > best.explained_ratio:
@@ -368,22 +369,6 @@ class Scope:
         )
 
 
-def _drawn(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """bool: a mask of that shape with pixels (N, 2) that have been pulled apart a little."""
-    column, row = np.rint(pixels).astype(int).T
-    height, width = shape
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    drawn = np.zeros(shape, np.uint8)
-    drawn[row[inside], column[inside]] = 1
-    return cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
-
-
-def _box(mask: np.ndarray, margin_px: int) -> tuple[slice, slice]:
-    """Rows and columns that hold a mask's pixels, and so much more."""
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    return slice(max(y - margin_px, 0), y + h + margin_px), slice(max(x - margin_px, 0), x + w + margin_px)
-
-
 def _up_px_per_mm(place: Place, pixel: np.ndarray) -> np.ndarray:
     """(2,): by how much what lies on the bed at a pixel moves in the picture for each millimetre that it rises."""
     at_mm = place.on_bed_mm(pixel + np.array([(0, 0), (1, 0), (0, 1)]), 1.0)
@@ -394,25 +379,17 @@ def _up_px_per_mm(place: Place, pixel: np.ndarray) -> np.ndarray:
     return np.linalg.solve(per_px, below_mm - at_mm[0])
 
 
-def _turned(mask: np.ndarray, turn_deg: float) -> np.ndarray:
-    if not turn_deg or not mask.any():
-        return mask
-    x, y = middle_of(mask)
-    matrix = cv2.getRotationMatrix2D((float(x), float(y)), turn_deg, 1.0)
-    return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1]) > 0
-
-
 def _turned_beside(beside: Beside, part: np.ndarray, others: np.ndarray, mm_per_px: np.ndarray) -> Collection[Likeness]:
     """How alike a part is in each of its turns on the bed, coarse ones first and finer ones about the best."""
     middle = middle_of(part)
 
-    def turned(turn_deg: float) -> Likeness:
-        return beside.body(_turned_on_bed(part, turn_deg, middle, mm_per_px), others)
+    def alike(turn_deg: float) -> Likeness:
+        return beside.body(turned_on_bed(part, turn_deg, middle, mm_per_px), others)
 
-    tried = {turn_deg: turned(turn_deg) for turn_deg in AWAY_TURNS_DEG}
+    tried = {turn_deg: alike(turn_deg) for turn_deg in AWAY_TURNS_DEG}
     best_deg = max(tried, key=lambda turn_deg: tried[turn_deg].ratio)
     if tried[best_deg].ratio >= AWAY_NEAR_RATIO:
-        tried.update((finer, turned(finer)) for finer in (best_deg - AWAY_FINER_DEG, best_deg + AWAY_FINER_DEG))
+        tried.update((finer, alike(finer)) for finer in (best_deg - AWAY_FINER_DEG, best_deg + AWAY_FINER_DEG))
     return tried.values()
 
 
@@ -420,19 +397,3 @@ def _mm_per_px(place: Place, pixel: np.ndarray) -> np.ndarray:
     """(2, 2): the step on the bed, in columns, for a step of one pixel to the right and one down."""
     at_mm = place.on_bed_mm(pixel + np.array([(0, 0), (1, 0), (0, 1)]), 0.0)
     return (at_mm[1:] - at_mm[0]).T
-
-
-def _turned_on_bed(mask: np.ndarray, turn_deg: float, middle: np.ndarray, mm_per_px: np.ndarray) -> np.ndarray:
-    """bool: what lies flat there, turned about that pixel on the bed as the camera sees it."""
-    if not turn_deg or abs(np.linalg.det(mm_per_px)) < 1e-9:
-        return mask
-    turn = np.radians(turn_deg)
-    on_bed = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    in_picture = np.linalg.solve(mm_per_px, on_bed @ mm_per_px)
-    matrix = np.column_stack([in_picture, middle - in_picture @ middle])
-    return cv2.warpAffine(mask.view(np.uint8), matrix, mask.shape[::-1]) > 0
-
-
-def middle_of(mask: np.ndarray) -> np.ndarray:
-    rows, columns = np.nonzero(mask)
-    return np.array([columns.mean(), rows.mean()]) if len(rows) else np.zeros(2)

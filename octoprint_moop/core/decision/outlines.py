@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .shapes import BESIDE_PX, LEAST_REACH_PX, REACH_RATIO, best_place, closed, displaced, filled
 from .spots import disc
 
-INFILL_GAP_PX, GAP_PX, BESIDE_PX = 8.0, 3.0, 2.0  # at 640 pixels across; contours are so uncertain
-LEAST_REACH_PX, REACH_RATIO = 24, 0.6
+INFILL_GAP_PX, GAP_PX = 8.0, 3.0  # at 640 pixels across
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Beside:
         x, y, w, h = cv2.boundingRect(self._stray.view(np.uint8))
         self._middle_px = x + w / 2, y + h / 2
         self._lines = cv2.dilate(stray.view(np.uint8), disc(1)) > 0
-        self._body = _closed(stray | wanted, GAP_PX * finer)
-        self._layer = _closed(stray | wanted, INFILL_GAP_PX * finer)
+        self._body = closed(stray | wanted, GAP_PX * finer)
+        self._layer = closed(stray | wanted, INFILL_GAP_PX * finer)
         self.px = int(np.count_nonzero(self._stray))
 
     def lines(self, part: np.ndarray) -> Likeness:
@@ -80,37 +80,3 @@ class Beside:
         ratio = 2 * seen_ratio * told_ratio / max(seen_ratio + told_ratio, 1e-6)
         apart_px = (out_px - seen_px + self.px - told_px) / max(contour_px, 1)
         return Likeness(ratio, offset_px, told_ratio, out_px / max(part_px, 1), apart_px)
-
-
-def best_place(part: np.ndarray, pays: np.ndarray, reach_px: int | None = None) -> tuple[int, int]:
-    """(right, down) in pixels: where the mask `part` would cover most of what `pays`, float32; outside nothing does.
-
-    reach_px : how far is looked; None for a part of the part's own size
-    """
-    x, y, w, h = cv2.boundingRect(part.view(np.uint8))
-    reach = max(LEAST_REACH_PX, int(REACH_RATIO * max(w, h))) if reach_px is None else reach_px
-    pays = cv2.copyMakeBorder(pays, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=-1.0)
-    field = pays[y : y + h + 2 * reach, x : x + w + 2 * reach]
-    score = cv2.matchTemplate(field, part[y : y + h, x : x + w].astype(np.float32), cv2.TM_CCORR)
-    column, row = cv2.minMaxLoc(score)[3]
-    return column - reach, row - reach
-
-
-def displaced(mask: np.ndarray, offset_px: tuple[int, int]) -> np.ndarray:
-    """bool: the mask moved by so much to the right and down."""
-    matrix = np.array([[1.0, 0, offset_px[0]], [0, 1.0, offset_px[1]]])
-    return cv2.warpAffine(mask.view(np.uint8), matrix, mask.shape[::-1]) > 0
-
-
-def filled(mask: np.ndarray) -> np.ndarray:
-    """bool: all within the outer contours of a mask."""
-    whole = _closed(mask, BESIDE_PX).view(np.uint8)
-    contours = cv2.findContours(whole, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    return cv2.drawContours(np.zeros_like(whole), contours, -1, 1, cv2.FILLED) > 0
-
-
-def _closed(mask: np.ndarray, radius_px: float) -> np.ndarray:
-    """bool: with gaps closed that a disc of that radius does not fit into."""
-    rim = int(np.ceil(radius_px)) + 1
-    wide = cv2.copyMakeBorder(mask.view(np.uint8), rim, rim, rim, rim, cv2.BORDER_CONSTANT)
-    return cv2.morphologyEx(wide, cv2.MORPH_CLOSE, disc(radius_px))[rim:-rim, rim:-rim] > 0
