@@ -15,7 +15,7 @@ from .checks import Check, Pictures
 from .decision.compare import compare
 from .decision.course import Courses, Look, Ruling
 from .decision.decide import CAMERA_MOVED, OK, UNUSABLE, Track, accept, pardon
-from .decision.diagnose import Diagnosis, diagnose
+from .decision.diagnose import Diagnosis, Naming
 from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
 from .decision.telling import (
     ALIKE,
@@ -218,12 +218,8 @@ class Inspector:
         memory.keep_loose(findings.window, findings.loose, findings.seen, findings.known)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
-            place = view.place(moment)  # one for all: it keeps what it has drawn
-            return {
-                outcome.object_id: diagnose(outcome, findings, sight, place)
-                for outcome in ruling.outcomes
-                if outcome.verdict != OK
-            }
+            naming = Naming(findings, sight, view.place(moment))
+            return {outcome.object_id: naming.name(outcome) for outcome in ruling.outcomes if outcome.verdict != OK}
 
         little = HEAD_HIDES if little_of(would_tell, expected.mask) else ""
         look = Look(comparison, scopes=findings.scopes, little=little, turned=steady.turned)

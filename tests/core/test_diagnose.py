@@ -10,7 +10,7 @@ import pytest
 
 from octoprint_moop.core.decision.counts import WHOLE
 from octoprint_moop.core.decision.decide import FAILED, Outcome, Surprise
-from octoprint_moop.core.decision.diagnose import diagnose
+from octoprint_moop.core.decision.diagnose import Naming
 from octoprint_moop.core.decision.evidence import find
 
 from .stage import GROUND, LAYER_PX, PX_PER_MM, SHAPE, Stage, moved, wall, walls
@@ -38,9 +38,8 @@ def named(layer: int, matter: np.ndarray, object_id: int = WHOLE, good_upto: int
     stage = Stage().printed(good_upto)
     sight = stage.sight(layer, matter)
     surprises = (Surprise("all", 9.0), Surprise("lost", 9.0), Surprise("stray", 9.0), Surprise("fresh", 9.0))
-    return diagnose(
-        Outcome(object_id, FAILED, surprises, 9.0), find(sight, stage.memory), sight, place or FlatPlace(layer)
-    )
+    naming = Naming(find(sight, stage.memory), sight, place or FlatPlace(layer))
+    return naming.name(Outcome(object_id, FAILED, surprises, 9.0))
 
 
 @pytest.mark.parametrize(("right", "way"), [(12, "right"), (-16, "left")])

@@ -9,14 +9,17 @@ layers from 1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from .counts import WHOLE
 from .decide import Outcome
 from .evidence import Findings, Sight
-from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Place, Scope, middle_of
+from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Place, Scope
+from .shapes import middle_of
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"
 LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown"
@@ -36,39 +39,67 @@ class Diagnosis:
     sentence: str
 
 
-def diagnose(outcome: Outcome, findings: Findings, sight: Sight, place: Place) -> Diagnosis:
-    """Name what `outcome` found in its scope."""
-    scope = Scope(outcome.object_id, findings, sight)
-    if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1):
-        return _old_moved(scope, place)
-    shift = scope.shift_above(lambda layer: place.covered(outcome.object_id, layer)[findings.window] > 0)
-    everything = Scope(WHOLE, findings, sight) if scope.has_others else scope
-    if shift is None and scope.has_others:
-        # axes that slip displace what is laid of all objects, and all of them together show it best
-        shift = everything.newest_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
-    if shift is None and everything.moved_away(place) is None:
-        shift = everything.slightly_shifted(lambda layer: place.covered(WHOLE, layer)[findings.window] > 0)
-        shift = shift if shift and scope.others_moved(shift.layer, slightly=True) else None
-    lift = scope.lifted_corner(place)
-    if lift and (shift is None or _plainer(lift, shift)):
-        return _lifted(lift, scope, place)
-    if shift:
-        how_far = _distance(place, shift, place.layer_z_mm(shift.layer))  # `shift.layer` is the first that is shifted
-        return Diagnosis(LAYER_SHIFT, f"Everything above layer {shift.layer} is shifted by about {how_far}.")
-    if scope.lost_px and scope.lost_px >= OLD_MOVED_RATIO * scope.wrong_px:
-        return _old_moved(scope, place)
-    if scope.stray_px < COUNTERPART_RATIO * scope.unseen_px:
-        since = scope.first_unseen_layer()
-        if scope.unseen_ratio(since) > 0.8:
-            return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since + 1}.")
-        return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since + 1}.")
-    if scope.stray_px:
-        move = everything.moved_away(place)  # what came off one object may lie between it and others
-        if move:
-            return _come_off(move, place)
-        area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(sight.layer) / 2, findings)
-        return Diagnosis(STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it.")
-    return Diagnosis(UNKNOWN, "The print no longer looks as it should.")
+class Naming:
+    """Names what one look found, scope by scope. What is asked of the whole print is worked out once for all of them."""
+
+    def __init__(self, findings: Findings, sight: Sight, place: Place) -> None:
+        self._findings, self._sight, self._place = findings, sight, place
+
+    def name(self, outcome: Outcome) -> Diagnosis:
+        """What `outcome` found in its scope. Raises RenderError where drawing fails."""
+        place = self._place
+        scope = Scope(outcome.object_id, self._findings, self._sight)
+        if scope.lost_px >= GONE_RATIO * max(scope.standing_px, 1):
+            return _old_moved(scope, place)
+        shift = scope.shift_above(self._laid_above(outcome.object_id))
+        if shift is None and scope.has_others:
+            shift = self._newest_shifted
+        if shift is None and self._moved_away is None:
+            slight = self._slightly_shifted
+            shift = slight if slight and scope.others_moved(slight.layer, slightly=True) else None
+        lift = scope.lifted_corner(place)
+        if lift and (shift is None or _plainer(lift, shift)):
+            return _lifted(lift, scope, place)
+        if shift:
+            how_far = _distance(
+                place, shift, place.layer_z_mm(shift.layer)
+            )  # `shift.layer` is the first that is shifted
+            return Diagnosis(LAYER_SHIFT, f"Everything above layer {shift.layer} is shifted by about {how_far}.")
+        if scope.lost_px and scope.lost_px >= OLD_MOVED_RATIO * scope.wrong_px:
+            return _old_moved(scope, place)
+        if scope.stray_px < COUNTERPART_RATIO * scope.unseen_px:
+            since = scope.first_unseen_layer()
+            if scope.unseen_ratio(since) > 0.8:
+                return Diagnosis(EXTRUSION_FAILURE, f"No new material since layer {since + 1}.")
+            return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since + 1}.")
+        if scope.stray_px:
+            if self._moved_away:  # what came off one object may lie between it and others
+                return _come_off(self._moved_away, place)
+            area_mm2 = _area_mm2(place, scope.stray, place.layer_z_mm(self._sight.layer) / 2, self._findings)
+            return Diagnosis(
+                STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it."
+            )
+        return Diagnosis(UNKNOWN, "The print no longer looks as it should.")
+
+    def _laid_above(self, object_id: int) -> Callable[[int], np.ndarray]:
+        return lambda layer: self._place.covered(object_id, layer)[self._findings.window] > 0
+
+    @cached_property
+    def _everything(self) -> Scope:
+        return Scope(WHOLE, self._findings, self._sight)
+
+    @cached_property
+    def _newest_shifted(self) -> Move | None:
+        """Axes that slip displace what is laid of all objects, and all of them together show it best."""
+        return self._everything.newest_shifted(self._laid_above(WHOLE))
+
+    @cached_property
+    def _slightly_shifted(self) -> Move | None:
+        return self._everything.slightly_shifted(self._laid_above(WHOLE))
+
+    @cached_property
+    def _moved_away(self) -> Move | None:
+        return self._everything.moved_away(self._place)
 
 
 def _plainer(lift: Lift, shift: Move) -> bool:
@@ -112,10 +143,6 @@ def _on_bed_mm(place: Place, move: Move, z_mm: float) -> tuple[float, float]:
     """How far to the right and to the back."""
     right_mm, back_mm = np.diff(place.on_bed_mm(np.array([move.from_px, move.to_px]), z_mm), axis=0)[0]
     return float(right_mm), float(back_mm)
-
-
-def _distance_mm(place: Place, move: Move, z_mm: float) -> float:
-    return float(np.hypot(*_on_bed_mm(place, move, z_mm)))
 
 
 def _distance(place: Place, move: Move, z_mm: float) -> str:
