@@ -65,6 +65,11 @@ class Hold:
     read: list[tuple[int, int]] = field(default_factory=list)
     sure_pos: int | None = None
 
+    @property
+    def name(self) -> str:
+        """What is looked at in it, for the log."""
+        return "The empty bed" if self.layer == BARE else f"Layer {self.layer}"
+
     def drop(self, why: str, lost: bool = False) -> None:
         self.dropped, self.lost = why, lost or self.lost
         self.stopped.set()

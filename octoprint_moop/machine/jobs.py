@@ -92,6 +92,12 @@ class Print:
         kinds = [Modes.from_json(kind) for kind in told["modes"]]
         self.modes = dict(zip([*self.bare_ends, *self.ends], (kinds[number] for number in told["mode_of"])))
 
+    def begin_recording(self, root: Path, settings: Settings, tell: Callable[[str | None, str], None]) -> None:
+        """Where one is wanted, and none has begun before the first look. tell : as in Recorder"""
+        if settings.record and self.recorder is None and not self.ready:
+            budget_bytes = settings.recordings_mb * 1_000_000
+            self.recorder = Recorder(root, self.job.name, self.header(settings), budget_bytes, tell)
+
     def to_be_opened(self, again: bool) -> dict[str, Any]:
         """What `Eye.open` must be told of it. again : by an eye that does not know any more what it knew"""
         folder = None if self.recorder is None else self.recorder.folder

@@ -24,7 +24,6 @@ from .jobs import Job, Print
 from .ledger import Ledger
 from .link import EyeGone, EyeLink, Interrupted
 from .looks import Look, Looks
-from .recorder import Recorder
 from .responding import Responder
 from .webcam import Webcam
 
@@ -176,10 +175,7 @@ class Watch:
         """
         self.holds.plan_none()
         self.holds.let_go("what is known of the print is being learned anew")
-        if self._settings.record and current.recorder is None and not current.ready:
-            budget_bytes = self._settings.recordings_mb * 1_000_000
-            header, tell = current.header(self._settings), self._ledger.recorded
-            current.recorder = Recorder(self._recordings, current.job.name, header, budget_bytes, tell)
+        current.begin_recording(self._recordings, self._settings, self._ledger.recorded)
         known = current.to_be_opened(again)
         again = again and current.ready
         try:
@@ -250,16 +246,16 @@ class Watch:
                     current.last_pos, current.in_vain = hold.file_pos, 0
                     self.responder.to_check(looks[-1].check, self._settings)
         except Interrupted as error:
-            log.info("%s was not checked: %s", _named(hold), hold.dropped or error)
+            log.info("%s was not checked: %s", hold.name, hold.dropped or error)
         except EyeGone as error:
             gone = str(error)
         except MoopError as error:
-            log.warning("%s was not checked: %s", _named(hold), error)
+            log.warning("%s was not checked: %s", hold.name, error)
             self._ledger.blind(error.code, str(error))
             if current is not None:
                 current.looked_in_vain(time.monotonic() - hold.since_s)
         except Exception as error:
-            log.exception("%s was not checked", _named(hold))
+            log.exception("%s was not checked", hold.name)
             self._ledger.blind(blindness.BUG, f"Checking failed ({type(error).__name__}). The log has the details.")
         finally:
             try:
@@ -268,7 +264,7 @@ class Watch:
             finally:
                 self.holds.release(hold)
         if current is not None and gone:
-            log.warning("%s was not checked: %s", _named(hold), gone)
+            log.warning("%s was not checked: %s", hold.name, gone)
             self._revive_later(current, gone)
         if current is not None and looks:
             self._keep(current, looks, time.monotonic() - hold.since_s)
@@ -402,7 +398,3 @@ class Watch:
             self._ledger.blind(blindness.NOT_LOCAL, current.job.why_not)
         else:
             self._open(current, again=current.ready)
-
-
-def _named(hold: Hold) -> str:
-    return "The empty bed" if hold.layer == BARE else f"Layer {hold.layer}"
