@@ -44,10 +44,12 @@ from octoprint_moop.core import inspection
 from octoprint_moop.core.camera import Camera
 from octoprint_moop.core.decision.course import Course
 from octoprint_moop.core.decision.decide import FAILED
+from octoprint_moop.core.decision.diagnose import Naming
 from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.gcode.read import read_gcode
 from octoprint_moop.core.view.light import Light, LightChange
 from octoprint_moop.core.view.stabilise import Stabiliser
+from octoprint_moop.core.view.turns import Turns
 from octoprint_moop.core.view.view import View
 from octoprint_moop.machine.pictures import decode
 from octoprint_moop.machine.recording import Recording
@@ -58,7 +60,7 @@ NOISE_SIGMA, JPEG_QUALITY = 2.5, 85
 STEPS: tuple[tuple[Any, str, str], ...] = (
     (View, "steady", "usable, small pictures"),
     (Stabiliser, "turn", "camera's turn"),
-    (Stabiliser, "undo", "turn taken out"),
+    (Turns, "undo", "turn taken out"),
     (Light, "change", "light measured"),
     (LightChange, "undone", "light undone"),
     (View, "expected", "expected"),
@@ -67,7 +69,7 @@ STEPS: tuple[tuple[Any, str, str], ...] = (
     (View, "occluded", "occluders"),
     (inspection, "compare", "E"),
     (inspection, "find", "evidence"),
-    (inspection, "diagnose", "name"),
+    (Naming, "name", "name"),
     (Memory, "learn", "pixels' past"),
     (View, "learn", "learn colours"),
     (View, "check_calibration", "calibration"),

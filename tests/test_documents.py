@@ -47,3 +47,9 @@ def test_every_script_that_a_document_tells_to_run_is_there():
             assert (ROOT / script).is_file(), f"{page.name}: {script}"
         for module in re.findall(r"python -m benchmarks\.(\w+)", page.read_text()):
             assert (ROOT / "benchmarks" / f"{module}.py").is_file(), f"{page.name}: {module}"
+
+
+def test_every_step_that_the_benchmark_of_a_check_times_is_there():
+    from benchmarks.check import STEPS
+
+    assert [f"{owner.__name__}.{name}" for owner, name, _ in STEPS if not hasattr(owner, name)] == []
