@@ -16,7 +16,8 @@ from .decision.compare import compare
 from .decision.course import Courses, Look, Ruling
 from .decision.decide import CAMERA_MOVED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import Diagnosis, Naming
-from .decision.evidence import TOLERANCE_PX, Findings, Sight, find
+from .decision.evidence import TOLERANCE_PX, find
+from .decision.findings import Findings, Sight
 from .decision.telling import (
     ALIKE,
     HEAD_HIDES,

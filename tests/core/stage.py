@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from octoprint_moop.core.decision.evidence import Findings, Sight, find
+from octoprint_moop.core.decision.evidence import find
+from octoprint_moop.core.decision.findings import Findings, Sight
 from octoprint_moop.core.decision.memory import Memory
 from octoprint_moop.core.expected.views import Expected, PrintMap
 

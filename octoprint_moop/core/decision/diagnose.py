@@ -17,7 +17,7 @@ import numpy as np
 
 from .counts import WHOLE
 from .decide import Outcome
-from .evidence import Findings, Sight
+from .findings import Findings, Sight
 from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Place, Scope
 from .shapes import middle_of
 

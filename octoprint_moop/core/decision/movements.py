@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from .counts import WHOLE, WINDOWS
-from .evidence import Findings, Sight
+from .findings import Findings, Sight
 from .outlines import Beside, Likeness
 from .shapes import best_place, box_of, displaced, drawn, filled, middle_of, turned, turned_on_bed
 from .spots import disc

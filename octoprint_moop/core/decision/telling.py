@@ -7,7 +7,7 @@ import numpy as np
 
 from ..expected.views import Expected
 from .compare import Comparison
-from .evidence import Findings
+from .findings import Findings
 from .memory import Memory
 from .spots import disc
 
