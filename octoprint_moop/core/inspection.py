@@ -12,7 +12,7 @@ import numpy as np
 
 from .camera import Camera
 from .checks import Check, Pictures
-from .decision.compare import compare
+from .decision.compare import Comparison, compare
 from .decision.course import Courses, Look, Ruling
 from .decision.decide import CAMERA_MOVED, OK, UNUSABLE, Track, accept, pardon
 from .decision.diagnose import Diagnosis, Naming
@@ -36,21 +36,58 @@ from .head import HeadModel
 from .header import Header, Moment
 from .settings import Settings
 from .toolpath import Toolpath
-from .view.clearance import in_place
-from .view.view import MOVED_PX, View, moved_sentence
+from .view.view import MOVED_PX, SteadyFrame, View, moved_sentence
+from .view.window import Window
 
 NEAR_PX = 16  # how far about all that is expected and seen edges are looked for, and a little more
 LEARN_AT_FIRST, LEARN_EVERY = 6, 4  # good checks
 HIDDEN_CHECKS = 5  # in a row, that matter may seem to be hidden by something too small to be seen as an obstacle
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """A frame that can be judged, and what was found in it."""
+@dataclass(eq=False)
+class _Watched:
+    """What was learned of this print through one camera.
+
+    good_laid     : beads that lay at the last good check
+    hidden_checks : so many in a row in which matter seemed to be hidden
+    told_apart    : whether filament and bed have once been told from one another
+    judged        : the last look that could be
+    """
 
     view: View
-    moment: Moment
-    findings: Findings
+    good_checks: int = 0
+    good_laid: int = 0
+    hidden_checks: int = 0
+    told_apart: bool = False
+    judged: tuple[Moment, Findings] | None = None
+
+    def accept(self) -> None:
+        """What was last seen through it is how the print looks from now on."""
+        if self.judged is not None:
+            moment, findings = self.judged
+            memory = self.view.memory(moment)
+            memory.accept(findings.window, findings.wanted, findings.look, findings.seen, findings.stray)
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """E, counted in the picture's own pixels, where there is anything to count: in the window `close`, uint8."""
+
+    comparison: Comparison
+    close: Window
+    expected: Expected
+    observed: np.ndarray
+    ignored: np.ndarray
+
+    @classmethod
+    def of(cls, steady: SteadyFrame, observed: np.ndarray, ignored: np.ndarray) -> _Compared:
+        near = box_about(steady.expected.complete | observed, NEAR_PX)
+        close = steady.window.within(*near)
+        expected = close.sharp().expected(steady.whole)
+        sharp_observed, sharp_ignored = close.enlarged(observed[near]), close.enlarged(ignored[near])
+        comparison = compare(expected.mask, sharp_observed, close.cut(steady.whole.complete), sharp_ignored)
+        comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * steady.window.step**2)
+        return cls(comparison, close.sharp(), expected, sharp_observed, sharp_ignored)
 
 
 class Inspector:
@@ -69,13 +106,8 @@ class Inspector:
         self._header, self._toolpath, self._renderer = header, toolpath, renderer
         self._settings = settings
         self._reference_bgr = reference_bgr
-        self._views: dict[str | None, View] = {}
+        self._watched: dict[str | None, _Watched] = {}
         self._courses = Courses(settings.sensitivity)
-        self._seen: dict[str | None, _Seen] = {}
-        self._good_checks: dict[str | None, int] = {}
-        self._good_laid: dict[str | None, int] = {}
-        self._hidden_checks: dict[str | None, int] = {}
-        self._told_apart: set[str | None] = set()
         self._shown: Callable[[], Pictures] | None = None
         self._lesson: Callable[[], None] | None = None
         self.look: Look | None = None
@@ -92,13 +124,13 @@ class Inspector:
         True where this picture is the reference from now on, False where the head hides too much of the print's place.
         Raises FrameError where the picture cannot be used, RenderError where drawing fails.
         """
-        return self._view(moment).take_reference(frame_bgr, moment)
+        return self._through(moment.camera).view.take_reference(frame_bgr, moment)
 
     def draw_ahead(self) -> None:
         """Draw what the first camera's first look will need: some seconds for millions of beads, which need not pass
         while a printer waits. Raises RenderError."""
         if len(self._toolpath):
-            self._view(Moment("", 0, 0, (0.0, 0.0, 0.0))).draw_ahead()
+            self._through(None).view.draw_ahead()
 
     def accept(self) -> None:
         """The user goes on with the print as it is: what the last check saw is the new baseline, only what changes
@@ -111,21 +143,19 @@ class Inspector:
 
     def _begin_anew(self, of: Callable[[Track], Track]) -> None:
         self.learn()
-        for seen in self._seen.values():
-            findings = seen.findings
-            memory = seen.view.memory(seen.moment)
-            memory.accept(findings.window, findings.wanted, findings.look, findings.seen, findings.stray)
+        for watched in self._watched.values():
+            watched.accept()
         self._courses.begin_anew(of)
 
     def expected(self, moment: Moment) -> Expected:
         """What must be seen at that moment, by that moment's camera, in the frame's own pixels."""
         self.learn()
-        return self._view(moment).expected(moment)
+        return self._through(moment.camera).view.expected(moment)
 
     def camera(self, moment: Moment) -> Camera:
         """The camera of that moment as this print has shown it to stand: the header's, corrected where that was safe."""
         self.learn()
-        return self._view(moment).selfcheck.camera
+        return self._through(moment.camera).view.selfcheck.camera
 
     def check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
         """Compare one frame with what must be seen. A frame that cannot be used is a verdict, not an error.
@@ -136,7 +166,9 @@ class Inspector:
         began_s = time.perf_counter()
         self._shown = None
         check = self._check(frame_bgr, moment)
-        return replace(check, ms=(time.perf_counter() - began_s) * 1000, fit=self._view(moment).selfcheck.fit)
+        return replace(
+            check, ms=(time.perf_counter() - began_s) * 1000, fit=self._through(moment.camera).view.selfcheck.fit
+        )
 
     def learn(self) -> None:
         """Take in what the last check has taught: no printer need wait for that. Whatever is asked next does it first, where
@@ -156,7 +188,8 @@ class Inspector:
         return self.check(frame_bgr, replace(moment, again=True))
 
     def _check(self, frame_bgr: np.ndarray, moment: Moment) -> Check:
-        view = self._view(moment)
+        watched = self._through(moment.camera)
+        view = watched.view
         try:
             steady = view.steady(frame_bgr, moment)
         except FrameError as error:
@@ -166,80 +199,68 @@ class Inspector:
         window, expected = steady.window, steady.expected
         seen = view.observe(steady, moment)
         observed = seen.mask
-        head, doubtful, would_tell = expected.volume, None, expected.mask
+        head, lies, doubtful = expected.volume, None, None
         hidden, foreign = view.occluded(steady, observed)
         if head is not None:
-            lies = in_place(observed, expected.mask, head)
-            matter, either = view.clearance.free(window, moment.position_mm, head)
-            doubtful = head & cv2.bitwise_not(lies | matter | (either & cv2.bitwise_not(expected.mask)))
-            would_tell = expected.mask & cv2.bitwise_not(doubtful)
+            lies, doubtful = view.clearance.behind(window, moment.position_mm, observed, expected.mask, head)
         ignored = union(seen.unsure, steady.outside, hidden, foreign, doubtful, expected.ignored)
         self._shown = lambda: Pictures(
             steady.picture(), window.placed(observed), steady.whole.mask, window.placed(ignored)
         )  # fmt: skip
-        # E is counted in the picture's own pixels, where there is anything to count
-        near = box_about(expected.complete | observed, NEAR_PX)
-        close = window.within(*near)
-        sharp, sharp_observed, sharp_ignored = (
-            close.sharp().expected(steady.whole), close.enlarged(observed[near]), close.enlarged(ignored[near])
-        )  # fmt: skip
-        comparison = compare(sharp.mask, sharp_observed, close.cut(steady.whole.complete), sharp_ignored)
-        comparison = replace(comparison, ignored_px=cv2.countNonZero(ignored) * window.step**2)
+        compared = _Compared.of(steady, observed, ignored)
+        comparison = compared.comparison
         why = blocked(expected, hidden, foreign, doubtful, seen.unsure, comparison)
         if why:
             return self._blind(Look(comparison, UNUSABLE, why), moment)
         view.accept(steady)
         memory = view.memory(moment)
-        layer = self._toolpath.layer_at(moment.file_pos)
+        laid, layer = watched.good_laid, self._toolpath.layer_at(moment.file_pos)
         finer = max(1.0, window.size_px[0] / 640) / window.step
         tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step
-        laid = self._good_laid.get(moment.camera, 0)
         sight = Sight(
             steady.frame, observed, ignored, expected, view.print_map(moment), layer, tolerance_px, finer,
             lambda: view.laid_px(moment, laid) / window.step**2, steady.sure,
         )  # fmt: skip
         findings = find(sight, memory)
-        hidden_now = seems_hidden(findings)
-        hidden_before = self._hidden_checks.get(moment.camera, 0)
-        self._hidden_checks[moment.camera] = hidden_before + 1 if hidden_now else 0
-        if hidden_now and hidden_before < HIDDEN_CHECKS:
+        watched.hidden_checks = watched.hidden_checks + 1 if seems_hidden(findings) else 0
+        if 0 < watched.hidden_checks <= HIDDEN_CHECKS:
             alike = findings.untold_px >= findings.hidden_px and not_seen_px(findings, memory) > 0
             return self._blind(Look(comparison, UNUSABLE, ALIKE if alike else HIDDEN), moment)
         if findings.moved_px > MOVED_PX * finer:
             sentence = moved_sentence(findings.moved_px * window.step)
             return self._blind(Look(comparison, CAMERA_MOVED, sentence), moment)
-        if moment.camera not in self._told_apart:
-            if not tells_apart(findings, memory, tolerance_px):
-                view.learn(steady, moment, seen)
-                return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
-            self._told_apart.add(moment.camera)
+        watched.told_apart = watched.told_apart or tells_apart(findings, memory, tolerance_px)
+        if not watched.told_apart:
+            view.learn(steady, moment, seen)
+            return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
         if unseen_and_unmissed(findings, memory):
             return self._blind(Look(comparison, UNUSABLE, ALIKE), moment)
-        self._seen[moment.camera] = _Seen(view, moment, findings)
+        watched.judged = moment, findings
         memory.keep_loose(findings.window, findings.loose, findings.seen, findings.known)
 
         def name(ruling: Ruling) -> dict[int, Diagnosis]:
             naming = Naming(findings, sight, view.place(moment))
             return {outcome.object_id: naming.name(outcome) for outcome in ruling.outcomes if outcome.verdict != OK}
 
+        would_tell = expected.mask if doubtful is None else expected.mask & cv2.bitwise_not(doubtful)
         little = HEAD_HIDES if little_of(would_tell, expected.mask) else ""
         look = Look(comparison, scopes=findings.scopes, little=little, turned=steady.turned)
         self.look, ruling = self._courses.rule(look, moment, name)
         assert ruling is not None
 
         def lesson() -> None:
-            self._good_laid[moment.camera] = self._toolpath.laid_at(moment.file_pos)
-            if head is not None:
+            watched.good_laid = self._toolpath.laid_at(moment.file_pos)
+            if head is not None and lies is not None:
                 near, bed = findings.window, np.zeros_like(head)
                 bed[near] = memory.shows_bed(near, findings.look, head[near] & ~observed[near])
                 view.clearance.learn(window, moment.position_mm, lies & head, bed)
             doubtful = findings.lost | findings.stray
             memory.learn(findings.window, findings.wanted, findings.look, findings.seen, findings.known, doubtful)
-            good_checks = self._good_checks[moment.camera] = self._good_checks.get(moment.camera, 0) + 1
+            watched.good_checks += 1
             # what a print looks like changes slowly: learning it anew at every layer would cost more than looking
-            if good_checks <= LEARN_AT_FIRST or good_checks % LEARN_EVERY == 0:
+            if watched.good_checks <= LEARN_AT_FIRST or watched.good_checks % LEARN_EVERY == 0:
                 view.learn(steady, moment, seen)
-            view.check_calibration(moment, close.sharp(), sharp, sharp_observed, sharp_ignored)
+            view.check_calibration(moment, compared.close, compared.expected, compared.observed, compared.ignored)
 
         self._lesson = lesson if ruling.teaches else None
         return Check.of(moment, self.look, ruling, self._toolpath.objects)
@@ -254,15 +275,16 @@ class Inspector:
         printer = self._header.printer
         return printer.head or HeadModel.from_text(self._settings.head, printer.width_mm, printer.bed_low_mm[0])
 
-    def _view(self, moment: Moment) -> View:
-        if moment.camera not in self._views:
-            first = moment.camera is None or moment.camera == self._header.cameras[0][0]
-            self._views[moment.camera] = View(
-                self._header.camera(moment.camera), self._header.printer, self._toolpath, self._renderer,
+    def _through(self, camera: str | None) -> _Watched:
+        if camera not in self._watched:
+            first = camera is None or camera == self._header.cameras[0][0]
+            view = View(
+                self._header.camera(camera), self._header.printer, self._toolpath, self._renderer,
                 self._header.material, self._settings.segmentation, self._reference_bgr if first else None,
                 self._head(), self._header.reference_mm,
             )  # fmt: skip
-        return self._views[moment.camera]
+            self._watched[camera] = _Watched(view)
+        return self._watched[camera]
 
 
 def conclude(looks: Iterable[tuple[Look, Moment]], sensitivity: str, objects: Sequence[str]) -> Iterator[Check]:

@@ -72,7 +72,7 @@ def test_where_the_bed_stood_counts(toolpath, scene, header):
 def test_a_picture_in_which_the_head_hides_the_prints_place_is_not_taken(toolpath, scene, header):
     inspector = Inspector(header, toolpath, CvRenderer())
     assert not inspector.take_reference(scene.frame(0, OVER), Moment("reference.jpg", 0, 0, OVER, parked=False))
-    assert inspector._views[None]._bare_bgr is None
+    assert inspector._watched[None].view._bare_bgr is None
 
 
 def test_a_black_picture_is_no_reference(toolpath, scene, header):

@@ -58,6 +58,15 @@ class Clearance:
         if pose is not None and (matter.any() or bed.any()):
             self._kept.append((window, pose, cv2.merge([matter, matter | bed])))
 
+    def behind(
+        self, window: Window, position_mm: Sequence[float], observed: np.ndarray, expected: np.ndarray, head: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matter that is seen in its place although a head might stand before it, and where within the head's reach nothing
+        can be told: neither of matter that may be missing, nor of matter that may be too much."""
+        lies = in_place(observed, expected, head)
+        matter, either = self.free(window, position_mm, head)
+        return lies, head & cv2.bitwise_not(lies | matter | (either & cv2.bitwise_not(expected)))
+
     def free(self, window: Window, position_mm: Sequence[float], head: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where no head is in the view although it is within its reach `head`, for all that was seen so far: where matter
         was seen, and where matter or the bed was."""
