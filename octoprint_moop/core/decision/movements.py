@@ -56,14 +56,14 @@ class Place(Protocol):
         """(H, W) uint8, 255 where what lies of that object (-1: of everything) from `first_layer` on would be seen alone."""
 
     def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
-        """(N, 2): where lines of sight through pixels (N, 2) meet the plane z = z_mm, print coordinates."""
+        """(N, 2): where lines of sight through the sight's pixels (N, 2) meet the plane z = z_mm, print coordinates."""
 
     def layer_z_mm(self, layer: int) -> float: ...
 
 
 @dataclass(frozen=True)
 class Move:
-    """A movement that would explain some of the difference: from where to where its middle went, in picture pixels."""
+    """A movement that would explain some of the difference: from where to where its middle went, in the sight's pixels."""
 
     from_px: tuple[float, float]
     to_px: tuple[float, float]
@@ -78,7 +78,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Lift:
-    """A corner that has risen: where it is in the picture, and how far up it has come."""
+    """A corner that has risen: where it is, in the sight's pixels, and how far up it has come."""
 
     at_px: tuple[float, float]
     height_mm: float
@@ -128,11 +128,11 @@ class Scope:
         return int(np.count_nonzero((explained ^ self._seen) & self._counts))
 
     def middle(self) -> tuple[float, float]:
-        """The middle of what stands, in picture pixels."""
+        """The middle of what stands, in the sight's pixels."""
         return tuple(middle_of(self._wanted) + self._origin_px)
 
     def bared(self) -> tuple[tuple[float, float], float]:
-        """Where matter is lost, in picture pixels, and how high the largest gap is, in pixels."""
+        """Where matter is lost, in the sight's pixels, and how high the largest gap is, in pixels."""
         gaps = self._lost.sum(axis=0)
         # what is lost keeps a pixel's distance from what is still seen
         gap_px = float(np.percentile(gaps[gaps > 0], 80)) + 1 if gaps.any() else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from ..camera import Camera
 from ..errors import FrameError
 from .glance import Glance
 
@@ -22,6 +23,20 @@ REPEATED_ROWS, REPEATED_RATIO, LIVE_RATIO, LIVE_FRAMES = 7, 0.9, 0.5, 2
 """Every so many rows are compared to tell a live picture; the shares of a picture that are those of the last to the last
 bit: in one that was delivered again, and at most in live ones, of which so many pairs must have been seen."""
 REST_STEP, REST_RATIO = 20.0, 0.001  # grey levels, and the share of a picture at rest that may differ by more
+
+
+def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:
+    """(H, W, 3) uint8 BGR: the frame at the camera's size. Raises FrameError where it is of another shape."""
+    width, height = camera.image_size_px
+    frame_height, frame_width = frame_bgr.shape[:2]
+    if (frame_width, frame_height) == (width, height):
+        return frame_bgr
+    if abs(frame_width * height - frame_height * width) > 0.01 * frame_height * width:
+        raise FrameError(
+            f"The frame is {frame_width} x {frame_height} px, but the camera was calibrated at {width} x {height} px. "
+            "Set the webcam back, or calibrate it again."
+        )
+    return cv2.resize(frame_bgr, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def refuse_unusable(frame_bgr: np.ndarray, glance: Glance | None = None) -> None:

@@ -13,7 +13,6 @@ from ..calibration.selfcheck import SelfCheck
 from ..camera import Camera
 from ..decision.align import Alignment
 from ..decision.memory import Memory
-from ..errors import FrameError
 from ..expected.views import Expected, ExpectedViews, MaskRenderer, PrintMap, Silhouette
 from ..head import HeadModel
 from ..header import Moment, Printer
@@ -27,7 +26,7 @@ from .light import LightChange
 from .place import Place
 from .stabilise import Stabiliser
 from .turns import STILL, CameraTurn, Turns
-from .usable import Repeats, refuse_unusable
+from .usable import Repeats, fit_frame, refuse_unusable
 from .window import Window
 
 MOVED_PX = 8.0  # at 640 pixels across: beyond this the user is told, below it the turn is just taken out
@@ -387,17 +386,3 @@ def moved_sentence(motion_px: float) -> str:
         f"The camera was moved: the picture has shifted by about {motion_px:.0f} px. "
         "The view is looked for again; calibrate the camera before the next print."
     )
-
-
-def fit_frame(frame_bgr: np.ndarray, camera: Camera) -> np.ndarray:
-    """The frame at the camera's size. Raises FrameError where it is of another shape."""
-    width, height = camera.image_size_px
-    frame_height, frame_width = frame_bgr.shape[:2]
-    if (frame_width, frame_height) == (width, height):
-        return frame_bgr
-    if abs(frame_width * height - frame_height * width) > 0.01 * frame_height * width:
-        raise FrameError(
-            f"The frame is {frame_width} x {frame_height} px, but the camera was calibrated at {width} x {height} px. "
-            "Set the webcam back, or calibrate it again."
-        )
-    return cv2.resize(frame_bgr, (width, height), interpolation=cv2.INTER_AREA)
