@@ -214,6 +214,8 @@ class Inspector:
             return self._blind(Look(comparison, UNUSABLE, why), moment)
         view.accept(steady)
         memory = view.memory(moment)
+        if steady.turned and steady.sure:
+            memory.misfit.turn_is_found()
         laid, layer = watched.good_laid, self._toolpath.layer_at(moment.file_pos)
         finer = max(1.0, window.size_px[0] / 640) / window.step
         tolerance_px = view.selfcheck.band_px(TOLERANCE_PX * finer * window.step) / window.step

@@ -430,3 +430,11 @@ def test_matter_beside_a_print_that_hangs_together_with_the_pictures_rim_has_com
     sleeve = np.zeros(SHAPE, bool)
     sleeve[top : GROUND - 10, 62:84] = True
     assert (stage.look(13, walls(13) | sleeve).whole.stray_px > 500) == counts
+
+
+def test_a_camera_that_the_print_showed_to_have_moved_is_not_turned_back_twice():
+    """The print alone told at first; from the next look on the picture is turned back before it is looked at."""
+    stage = Stage(textured=True).printed(12)
+    stage.look(13, moved(walls(13), 6, 4), bed_px=(6, 4))
+    stage.memory.misfit.turn_is_found()
+    assert figures(stage.look(14, walls(14)).whole) == (0, 0, 0, 0) and stage.memory.misfit.alignment.most_px < 0.5

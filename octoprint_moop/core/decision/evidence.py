@@ -82,7 +82,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
         bed_moved = memory.bed_moved(window, findings.look, explained.look, off_print)
         unsure = moved_px < UNSURE_PX * finer or _pieces(findings.wanted) > 1 or not sight.sure
         if bed_moved or (bed_moved is None and unsure):
-            memory.misfit.alignment = found.alignment
+            memory.misfit.stand_in(found.alignment)
             return replace(explained, moved_px=moved_px)
     return None
 

@@ -35,6 +35,16 @@ class Misfit:
         self.fitted = False
         self.spread_px = UNTOLD_PX
         self._settled_at, self._crept_at = SETTLING_CHECKS, 0
+        self._before: Alignment | None = None
+
+    def stand_in(self, alignment: Alignment) -> None:
+        """The camera seems to have moved, as the print alone tells: that is where the print is seen until its turn is found."""
+        self._before, self.alignment = self._before or self.alignment, alignment
+
+    def turn_is_found(self) -> None:
+        """From now on the picture is turned back, so nothing must stand in for that: it would be taken out twice."""
+        if self._before is not None:
+            self.alignment, self._before = self._before, None
 
     def settle(
         self, good_checks: int, window: Window, wanted: np.ndarray, observed: np.ndarray, ignored: np.ndarray
@@ -59,10 +69,11 @@ class Misfit:
     def carried(self, matrix: np.ndarray) -> None:
         """The print is seen elsewhere now. matrix : (3, 3), new pixels from old ones"""
         self.alignment = self.alignment.carried(matrix)
+        self._before = None if self._before is None else self._before.carried(matrix)
 
     def begin_anew(self, good_checks: int) -> None:
         """The print is expected where it was seen to be: what a better camera leaves is looked for anew."""
-        self._settled_at = good_checks + RESETTLING_CHECKS
+        self._settled_at, self._before = good_checks + RESETTLING_CHECKS, None
         self.alignment = replace(self.alignment, offset_px=(0.0, 0.0), shear_px=(0.0, 0.0, 0.0, 0.0))
 
 
