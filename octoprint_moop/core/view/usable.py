@@ -84,7 +84,8 @@ class Repeats:
         if previous_bgr is None or previous_bgr.shape != frame_bgr.shape:
             return
         rows, others = frame_bgr[::REPEATED_ROWS], previous_bgr[::REPEATED_ROWS]
-        ratio = float((rows == others).all(axis=2).mean())
+        same = cv2.inRange(cv2.absdiff(rows, others), (0, 0, 0), (0, 0, 0))
+        ratio = cv2.countNonZero(same) / same.size
         live = len(self._live_ratios) >= LIVE_FRAMES and max(self._live_ratios) < LIVE_RATIO
         if (ratio == 1 and np.array_equal(frame_bgr, previous_bgr)) or (live and ratio > REPEATED_RATIO):
             raise FrameError("The camera delivers the same picture again. Restart the webcam's stream.")
