@@ -198,6 +198,17 @@ def test_what_is_gone_from_amid_a_wall_is_a_hollow_in_shadow_what_is_gone_at_its
     assert lost or found.whole.lost_px == 0
 
 
+@pytest.mark.parametrize(("from_bottom", "lost"), [(12, False), (0, True)])
+def test_walls_do_not_hang_in_the_air_what_crosses_them_stands_before_them(from_bottom, lost):
+    rows, columns = np.nonzero(wall(0, 12))
+    bottom = rows.max() - from_bottom
+    gone = np.zeros(SHAPE, bool)
+    gone[bottom - 7 : bottom + 1, columns.min() : columns.max() + 1] = True
+    found = Stage().printed(12).look(12, walls(12) & ~gone)
+    assert (found.whole.lost_px > 100) == lost
+    assert lost or found.whole.lost_px == 0
+
+
 def test_stray_matter_belongs_to_the_object_beside_it():
     stage = Stage().printed(12)
     strand = np.zeros(SHAPE, bool)

@@ -9,6 +9,7 @@ import numpy as np
 
 SPECK_PX = 6
 HOLLOW_RIM_PX, HOLLOW_LEAST_PX = 1.5, 3
+AROUND_PX, AMID_RATIO = 3.0, 0.7  # how far about a spot, and how much of that ring, is matter in its place about a hollow
 
 Window = tuple  # (slice, slice): rows and columns
 
@@ -38,18 +39,26 @@ def near_to(wanted: np.ndarray, mask: np.ndarray, reach_px: float) -> np.ndarray
     return placed(mask, few, begins[labels])
 
 
-def without_hollows(lost: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The lost spots that reach the expected mask's (uint8) edge.
+def without_hollows(lost: np.ndarray, wanted: np.ndarray, lying: np.ndarray) -> np.ndarray:
+    """The lost spots that reach the expected mask's (uint8) edge, and do not end at matter in its place nearly all around.
 
-    Matter that stood does not go from amid what still stands; there a hollow has become dark as walls rose around it.
+    lying : bool, matter that is seen where it is expected
+    Matter that stood does not go from amid what still stands: there a hollow has become dark as walls rose around it, or
+    something narrow has come to stand before the print.
     """
     if not lost.any():
         return lost
-    few = about(lost)
+    margin = int(AROUND_PX) + 1
+    few = about(cv2.dilate(lost.view(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)) > 0)
     labels, areas_px = spots_of(lost[few])
     rim = (wanted[few] > 0) & (cv2.erode(wanted, disc(HOLLOW_RIM_PX))[few] == 0)
     at_rim_px = np.bincount(labels[rim & lost[few]], minlength=len(areas_px))
-    return placed(lost, few, (at_rim_px >= HOLLOW_LEAST_PX)[labels] & lost[few])
+    # what is lost keeps a pixel's distance from what is still seen
+    near, around = (cv2.dilate(labels.astype(np.float32), disc(reach_px)) for reach_px in (AROUND_PX - 1, AROUND_PX))
+    ring = np.where(near > 0, 0, around).astype(np.int32)
+    around_px, amid_px = (np.bincount(ring[one], minlength=len(areas_px)) for one in (ring > 0, (ring > 0) & lying[few]))
+    open_ended = amid_px <= AMID_RATIO * np.maximum(around_px, 1)
+    return placed(lost, few, ((at_rim_px >= HOLLOW_LEAST_PX) & open_ended)[labels] & lost[few])
 
 
 def within(wanted: np.ndarray, reach_px: float) -> np.ndarray:

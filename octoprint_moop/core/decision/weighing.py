@@ -179,7 +179,8 @@ def _lost(scene: _Scene, stray: np.ndarray) -> tuple[np.ndarray, int]:
     if not lost.any():
         return lost, 0
     hidden_px = _hidden_px(scene, stray)
-    lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), scene.wanted_u8)
+    lying = scene.observed & scene.wanted
+    lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), scene.wanted_u8, lying)
     if lost.any():
         lost &= ~memory.looks_unlike_bed(window, look, lost, scene.bed)
     if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, scene.bed):
