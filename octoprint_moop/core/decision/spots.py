@@ -9,7 +9,10 @@ import numpy as np
 
 SPECK_PX = 6
 HOLLOW_RIM_PX, HOLLOW_LEAST_PX = 1.5, 3
-AROUND_PX, AMID_RATIO = 3.0, 0.7  # how far about a spot, and how much of that ring, is matter in its place about a hollow
+AROUND_PX, AMID_RATIO = (
+    3.0,
+    0.7,
+)  # how far about a spot, and how much of that ring, is matter in its place about a hollow
 
 Window = tuple  # (slice, slice): rows and columns
 
@@ -56,7 +59,9 @@ def without_hollows(lost: np.ndarray, wanted: np.ndarray, lying: np.ndarray) -> 
     # what is lost keeps a pixel's distance from what is still seen
     near, around = (cv2.dilate(labels.astype(np.float32), disc(reach_px)) for reach_px in (AROUND_PX - 1, AROUND_PX))
     ring = np.where(near > 0, 0, around).astype(np.int32)
-    around_px, amid_px = (np.bincount(ring[one], minlength=len(areas_px)) for one in (ring > 0, (ring > 0) & lying[few]))
+    around_px, amid_px = (
+        np.bincount(ring[one], minlength=len(areas_px)) for one in (ring > 0, (ring > 0) & lying[few])
+    )
     open_ended = amid_px <= AMID_RATIO * np.maximum(around_px, 1)
     return placed(lost, few, ((at_rim_px >= HOLLOW_LEAST_PX) & open_ended)[labels] & lost[few])
 
