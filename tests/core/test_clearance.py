@@ -92,6 +92,15 @@ def test_a_part_of_the_head_that_looks_like_the_bed_is_not_free(camera):
     assert (clearance.free(WINDOW, now, above)[1] & above).any()
 
 
+def test_what_was_seen_from_a_nozzle_that_stands_at_one_place_hangs_together_with_what_lies_beyond_the_head(camera):
+    """Nothing is learned beyond the head's reach, since nothing is in doubt there."""
+    clearance, now = Clearance(camera, BedMotion()), PLACES[0]
+    head = beneath(camera, now)
+    for _ in range(2):
+        clearance.learn(WINDOW, now, NOTHING, head)
+    assert cv2.countNonZero(clearance.free(WINDOW, now, head)[1] & head) > 0.9 * cv2.countNonZero(head)
+
+
 @pytest.mark.parametrize(("beside_px", "counts"), [(0, True), (80, True), (400, False)])
 def test_matter_in_its_place_counts_unless_more_of_its_colour_is_seen_about_it(beside_px, counts):
     """Else it is the head that has the filament's colour."""

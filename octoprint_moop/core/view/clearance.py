@@ -79,7 +79,9 @@ class Clearance:
                     votes += (cv2.warpAffine(seen, motion, window.shape[::-1]) // 128).astype(np.uint8)
         side = 2 * round(EDGE_PX * max(1.0, window.size_px[0] / 640) / window.step) + 1
         edge = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        matter, either = np.moveaxis(cv2.erode(np.where(votes >= AGREEING, np.uint8(255), np.uint8(0)), edge), 2, 0)
+        agreed = votes >= AGREEING
+        agreed[..., 1] |= head == 0  # so that nothing is taken off where the head's reach ends
+        matter, either = np.moveaxis(cv2.erode(np.where(agreed, np.uint8(255), np.uint8(0)), edge), 2, 0)
         either = _without_islands(either, head)
         return cv2.bitwise_and(matter, either), either
 
