@@ -76,10 +76,12 @@ def page(loaded_page: Any) -> Iterator[Any]:
     loaded_page.expected_errors = []  # pieces of what a test provokes on purpose
     loaded_page.set_viewport_size(WIDE)
     yield loaded_page
+    errors = list(loaded_page.console_errors)
     loaded_page.evaluate(PUT_BACK)
     loaded_page.unroute_all(behavior="wait")
-    loaded_page.wait_for_function("$.active === 0")  # what the server itself answers now is not for the next test
-    errors, loaded_page.console_errors = loaded_page.console_errors, []
+    # what is on its way now the server itself answers: neither this test's errors, nor anything to the next test
+    loaded_page.wait_for_function("$.active === 0")
+    loaded_page.console_errors = []
     unexpected = [error for error in errors if not any(piece in error for piece in loaded_page.expected_errors)]
     assert not unexpected, "\n".join(unexpected)
 
