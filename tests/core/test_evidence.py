@@ -348,12 +348,18 @@ def strand(row: int, columns: slice) -> np.ndarray:
     return mask
 
 
-def test_strands_with_which_the_user_went_on_may_grow_but_others_are_new():
+def gone_on_with_a_strand() -> tuple[Stage, np.ndarray]:
+    """Something hangs beside the print, and the user goes on with it; the strand."""
     stage = Stage().printed(12)
     hanging = strand(170, slice(60, 90))
     found = stage.look(13, walls(13) | hanging)
     assert found.whole.stray_px > 0
     stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
+    return stage, hanging
+
+
+def test_strands_with_which_the_user_went_on_may_grow_but_others_are_new():
+    stage, hanging = gone_on_with_a_strand()
     longer = hanging | strand(162, slice(55, 85))
     found = stage.look(14, walls(14) | longer)
     assert found.whole.stray_px == 0 and np.count_nonzero(found.loose) >= 60
@@ -362,10 +368,7 @@ def test_strands_with_which_the_user_went_on_may_grow_but_others_are_new():
 
 
 def test_loose_strands_behind_a_head_were_not_taken_away():
-    stage = Stage().printed(12)
-    hanging = strand(170, slice(60, 90))
-    found = stage.look(13, walls(13) | hanging)
-    stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
+    stage, hanging = gone_on_with_a_strand()
     sight = stage.sight(14, walls(14))
     sight.ignored[150:190, 40:100] = 255
     hidden = find(sight, stage.memory)
@@ -375,10 +378,7 @@ def test_loose_strands_behind_a_head_were_not_taken_away():
 
 
 def test_once_loose_strands_were_taken_away_new_ones_count_again():
-    stage = Stage().printed(12)
-    hanging = strand(170, slice(60, 90))
-    found = stage.look(13, walls(13) | hanging)
-    stage.memory.accept(found.window, found.wanted, found.look, found.seen, found.stray)
+    stage, _ = gone_on_with_a_strand()
     cleared = stage.look(14, walls(14))
     stage.memory.keep_loose(cleared.window, cleared.loose, cleared.seen, cleared.known)
     assert not stage.memory.loose(cleared.window).any()
