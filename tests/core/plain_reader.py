@@ -187,7 +187,7 @@ def arc(start, end, value, unit, clockwise):
         sweep = 2.0 * math.pi
     turns = min(max(int(min(max(value.get("P", 0.0), 0.0), 1e6)) - closed, 0), 2000)
     sweep += 2.0 * math.pi * turns
-    count = math.ceil(sweep / (2.0 * math.acos(1.0 - min(0.05 / r0, 0.5))))
+    count = math.ceil(sweep / (2.0 * math.acos(1.0 - min(0.05 / r0, 0.5))) - 1e-9)  # a small circle is three
     count = min(max(count, 1), 2000)
     points = [tuple(start)]
     for k in range(1, count):

@@ -79,6 +79,13 @@ def test_a_full_circle_arc_is_not_lost_and_leaves_the_circle_by_no_more_than_the
     assert (ax * by - ay * bx).max() < 0  # clockwise
 
 
+@pytest.mark.parametrize("turns", range(1, 12))
+def test_circles_that_are_three_chords_each_are_never_one_more_for_rounding(turns):
+    for radius_mm in (0.004, 0.02, 0.062, 0.0971):
+        path = beads(f"M83\nG1 X30 Y20 Z0.2\nG2 I{radius_mm} P{turns} E5\n")
+        assert len(path) == 3 * turns, radius_mm
+
+
 @pytest.mark.parametrize(("radius", "turn"), [(10, np.pi / 2), (-10, 3 * np.pi / 2)])
 def test_an_arc_by_radius_goes_the_short_way_for_r_and_the_long_way_for_minus_r(radius, turn):
     path = beads(f"M83\nG1 X30 Y20 Z0.2\nG3 X20 Y30 R{radius} E5\n").astype(float)

@@ -7,6 +7,9 @@ import math
 import numpy as np
 
 CHORD_ERROR_MM = 0.05
+TIE_RATIO = (
+    1e-9  # of a chord: a small circle is three chords to the last bit or two, and rounding must not make it four
+)
 MAX_CHORDS = 2000  # of one command; the P parameter would allow millions
 LEAST_MOVE_MM = 1e-6
 GREATEST_RADIUS_MM = 1e6
@@ -41,7 +44,7 @@ def chords(
     angle += np.sign(angle) * 2 * math.pi * more
     with np.errstate(divide="ignore", invalid="ignore"):
         widest = 2.0 * np.arccos(1.0 - np.minimum(CHORD_ERROR_MM / radius, 0.5))
-        count = np.ceil(np.abs(angle) / widest)
+        count = np.ceil(np.abs(angle) / widest - TIE_RATIO)
     count = np.where(straight, 1, np.clip(np.nan_to_num(count, nan=1.0), 1, most)).astype(np.int64)
 
     which = np.repeat(np.arange(len(count)), count)
