@@ -72,6 +72,13 @@ def test_only_as_much_as_both_frames_show_counts():
     assert worst.leading.size == pytest.approx(1.2, abs=0.02) and worst.verdict == SUSPECT
 
 
+def test_contour_that_came_inwards_in_one_frame_alone_has_not():
+    course = course_after_good()
+    sunk = replace(look(), scopes=tuple(replace(scope, sunk_px=60) for scope in look().scopes))
+    assert verdict(course, look(1.5)) == SUSPECT
+    assert verdict(course, sunk, again=True) == OK
+
+
 def test_a_weak_suspicion_looked_at_twice_counts_once():
     course = course_after_good()
     for _ in range(3):

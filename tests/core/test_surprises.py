@@ -97,6 +97,16 @@ def test_the_rim_is_measured_by_the_length_of_the_edges_as_wide_as_the_limits_ar
     assert size("all", track, "low", rim_px=500, edge_px=5000) == pytest.approx(0.025 / (2 * 0.025))
 
 
+def test_fourteen_pixels_of_contour_that_has_come_inwards_are_tolerated_and_more_where_the_print_is_seen_badly():
+    track = track_of(sunk=0.0)
+    assert size("all", track, sunk_px=14) == pytest.approx(1)
+    assert size("all", Track(), sunk_px=14) == 0  # too few to know what is usual
+    assert size("all", replace(track, dim=(0.125,) * 4), sunk_px=14) == pytest.approx(0.5)
+    assert size("all", pardon_kept(track), "low", sunk_px=14) == pytest.approx(1 / 3)
+    usual = track_of(sunk=(6.0, 6.0, 8.0, 4.0))
+    assert size("all", usual, sunk_px=14) == pytest.approx((8 - 4 * 1.4826) / 14)
+
+
 def pardon_kept(track: Track) -> Track:
     return replace(track, wide=1.5)
 
@@ -190,6 +200,7 @@ def test_a_good_check_teaches_each_figure_in_parts_of_what_it_is_of():
     track = learn(Track(), seen)
     assert (track.lost, track.stray, track.rim) == ((0.001,), (0.002,), (0.003,))
     assert (track.unseen, track.barren, track.dim) == ((0.004,), (0.005,), (0.01,))
+    assert learn(Track(), replace(PLAIN, sunk_px=7)).sunk == (7,)
     assert track.seen == ((), (0.25,), (0.5,), ())
     empty = learn(Track(), replace(seen, total_px=0, expected_px=0))
     assert (empty.lost, empty.dim) == ((20,), (90,))

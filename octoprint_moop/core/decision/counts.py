@@ -26,6 +26,7 @@ class Evidence:
     unseen_px   : matter of the last layers that is not seen and looks bare
     deep_px     : well inside what the last layers cover; barren_px : of it, what was never seen
     fresh       : for each of WINDOWS, pixels that its layers newly cover, and how many of them are seen
+    sunk_px     : contour of what stands that has come inwards, in one way
     """
 
     object_id: int
@@ -42,6 +43,7 @@ class Evidence:
     barren_px: int
     xor_px: int
     fresh: tuple[tuple[int, int], ...]
+    sunk_px: int = 0
 
     @property
     def error_ratio(self) -> float:

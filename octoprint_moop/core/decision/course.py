@@ -278,7 +278,7 @@ def _in_both(first: Sequence[Evidence], second: Sequence[Evidence]) -> tuple[Evi
 
 
 def _lesser(one: Evidence, other: Evidence) -> Evidence:
-    wrong = ("lost_px", "stray_px", "rim_px", "unseen_px", "barren_px")
+    wrong = ("lost_px", "stray_px", "rim_px", "unseen_px", "barren_px", "sunk_px")
     fresh = tuple(
         (new_px, max(seen_px, min(round(before_seen_px * new_px / max(before_px, 1)), new_px)))
         for (before_px, before_seen_px), (new_px, seen_px) in zip(one.fresh, other.fresh)

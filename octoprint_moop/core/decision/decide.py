@@ -27,6 +27,7 @@ CONFIRMED = 2.0  # the same, where a second frame of the same state has shown it
 MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
 MATTER_LIMIT_PX = 30
 DIM_WIDENS = 8.0  # by how much all limits grow with the share of standing matter that is usually not seen
+SUNK_LIMIT_PX = 14  # of contour that has come inwards
 RIM_LIMIT = 0.1  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
@@ -60,6 +61,7 @@ class Track:
     lost: tuple[float, ...] = ()
     stray: tuple[float, ...] = ()
     rim: tuple[float, ...] = ()
+    sunk: tuple[float, ...] = ()
     unseen: tuple[float, ...] = ()
     barren: tuple[float, ...] = ()
     dim: tuple[float, ...] = ()
@@ -91,8 +93,12 @@ class Outcome:
 
 def matter_limit(track: Track, total_px: int, sensitivity: str) -> float:
     """How much lost or stray matter is tolerated, in parts of the complete silhouette."""
-    wide = SENSITIVITIES[sensitivity] * track.wide * (1 + DIM_WIDENS * _usual(track.dim))
-    return wide * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / max(total_px, 1))
+    return _widened(track, sensitivity) * max(MATTER_LIMIT_RATIO, MATTER_LIMIT_PX / max(total_px, 1))
+
+
+def _widened(track: Track, sensitivity: str) -> float:
+    """How many times as much as usual is tolerated."""
+    return SENSITIVITIES[sensitivity] * track.wide * (1 + DIM_WIDENS * _usual(track.dim))
 
 
 def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surprise, ...]:
@@ -104,6 +110,7 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     stray = (evidence.stray_px / total - _usual(track.stray)) / limit
     # a pixel's width of light along the edges comes and goes; a shift shows along a good part of them
     faint = _above(track.rim, evidence.rim_px / total) / max(limit, wide * RIM_LIMIT * evidence.edge_px / total)
+    faint += _above(track.sunk, evidence.sunk_px) / (_widened(track, sensitivity) * SUNK_LIMIT_PX)
     if not track.quiet:
         faint += _above(track.unseen, _borne_out(evidence) * evidence.unseen_px / total) / limit
     found = [
@@ -214,6 +221,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
         lost=_with(track.lost, evidence.lost_px / total),
         stray=_with(track.stray, evidence.stray_px / total),
         rim=_with(track.rim, evidence.rim_px / total),
+        sunk=_with(track.sunk, evidence.sunk_px),
         unseen=_with(track.unseen, _borne_out(evidence) * evidence.unseen_px / total),
         barren=_with(track.barren, _borne_out(evidence) * evidence.barren_px / total),
         unlike=_with(track.unlike, evidence.error_ratio),

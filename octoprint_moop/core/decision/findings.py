@@ -47,7 +47,8 @@ class Findings:
     stray, within the band about expected edges; unseen : fresh matter of the last layers that is not seen; hidden_px : so
     much of what stood there looks neither like matter nor like the bare bed now; untold_px : a good part of what stood is
     not seen, so much of it, and nothing bears out that it has gone, 0 where less; loose : matter that has grown from what
-    the user went on with; moved_px : by how much the whole picture has just moved
+    the user went on with; bared : what stood along a contour that has come inwards, and is not seen; moved_px : by how much
+    the whole picture has just moved
     """
 
     window: Window
@@ -64,6 +65,7 @@ class Findings:
     untold_px: int
     scopes: tuple[Evidence, ...]
     loose: np.ndarray
+    bared: np.ndarray
     moved_px: float = 0.0
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from .contours import Contours
 from .misfit import SETTLING_CHECKS, Misfit
 from .spots import Window, about, placed
 
@@ -58,6 +59,7 @@ class Memory:
         self._compared: tuple[np.ndarray | None, Window | None, dict[str, np.ndarray]] = (None, None, {})
         self._checks = 0
         self.misfit = Misfit()
+        self.contours = Contours(shape)
 
     def standing(self, window: Window) -> np.ndarray:
         """bool: pixels that have mostly been seen as matter; none before the first good check."""
@@ -272,6 +274,8 @@ class Memory:
         matter, fresh = self._matter[window], wanted & seen & known & ~self._has_covered[window]
         weight = max(NEWEST, 1 / (self._checks + 1))  # a plain mean at first, a fading one later
         sure = known if doubtful is None else known & ~doubtful
+        if self.misfit.settled(self._checks):
+            self.contours.learn(window, wanted, look, observed, known)
         cv2.accumulateWeighted(seen.view(np.uint8), matter, weight, sure.view(np.uint8))
         if doubtful is not None and doubtful.any():
             cv2.accumulateWeighted(seen.view(np.uint8), matter, DOUBTFUL * weight, (known & doubtful).view(np.uint8))
@@ -297,6 +301,7 @@ class Memory:
         """The user goes on with the print as it is: from now on this is how it looks, what is missing is given up, and
         what hangs loose may go on growing and moving.
         """
+        self.contours.forget()
         self._loose[window] |= stray
         self._matter[window] = observed
         for plane in range(3):
@@ -339,11 +344,13 @@ class Memory:
         for name in ("_has_covered", "_has_bare", "_given_up", "_loose"):
             setattr(self, name, warp(getattr(self, name).view(np.uint8)) > 0)
         self.misfit.carried(matrix)
+        self.contours.carried(matrix, shape)
         self._forget_compared()
 
     def recalibrated(self, matrix: np.ndarray, shape: tuple[int, int]) -> None:
         """The print is expected elsewhere from now on, where it was seen to be. As `carried`."""
         self.carried(matrix, shape)
+        self.contours.forget()
         self.misfit.begin_anew(self._checks)
 
     @property

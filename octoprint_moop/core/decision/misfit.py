@@ -66,6 +66,10 @@ class Misfit:
             if fitted is not None:
                 self.alignment = self.alignment.towards(fitted.alignment, CREEP_PX)
 
+    def settled(self, good_checks: int) -> bool:
+        """Whether it is known after so many, and only creeps."""
+        return good_checks > self._settled_at
+
     def carried(self, matrix: np.ndarray) -> None:
         """The print is seen elsewhere now. matrix : (3, 3), new pixels from old ones"""
         self.alignment = self.alignment.carried(matrix)

@@ -102,7 +102,7 @@ class Scope:
         self._whole, self._known, self._finer = object_id == WHOLE, findings.known, sight.finer
         self._others = [one for one in findings.scopes if one.object_id not in (WHOLE, object_id)]
         self._wanted, self._standing = findings.wanted & inside, findings.standing & inside
-        self._lost, self._unseen = findings.lost & inside, findings.unseen & inside
+        self._lost, self._unseen = (findings.lost | findings.bared) & inside, findings.unseen & inside
         self.stray = findings.stray & around
         self._beyond = self.stray | (findings.rim & around)
         self._observed = findings.seen & findings.known

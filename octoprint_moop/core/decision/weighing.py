@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from .align import Alignment
+from .contours import LEAST_SUNK
 from .counts import WHOLE, WINDOWS, Counter, Evidence
 from .findings import Findings, Sight
 from .memory import Memory, planes
@@ -17,6 +18,7 @@ from .spots import Window, about, disc, near_to, placed, spots_of, within, witho
 FIRST_LAYERS = 2
 ALIKE_RATIO, SEEN_RATIO, SHADE_PX = 0.15, 0.3, 8.0
 RIM_PX = 1.0
+BARED_PX = 2.0  # about contour that has come inwards
 REACH_RATIO = 0.07  # of the print's width, and of its width or height: how far off stray matter may begin
 LOOSE_PX = 20.0  # at up to 640 pixels across: what comes so near to loose matter is more of it
 HIDING_PX, AROUND_PX, HIDING_CHANGE, HIDING_RATIO = 60, 25, 9, 0.3
@@ -53,10 +55,11 @@ def weigh(sight: Sight, memory: Memory, window: Window, alignment: Alignment) ->
     )
     fresh = replace(fresh, unseen=fresh.unseen & ~alike, barren=fresh.barren & ~alike)
     lost, untold_px = _untold(scene, lost & ~alike, stray)
-    scopes = _count(scene, fresh, lost, stray, rim)
+    sunk, bared = _sunk(scene)
+    scopes = _count(scene, fresh, lost, stray, rim, sunk)
     return Findings(
         window, scene.wanted, scene.look, scene.observed, scene.known, scene.standing, lost, stray, rim, fresh.unseen,
-        hidden_px, untold_px, scopes, loose,
+        hidden_px, untold_px, scopes, loose, bared,
     )  # fmt: skip
 
 
@@ -188,6 +191,21 @@ def _lost(scene: _Scene, stray: np.ndarray) -> tuple[np.ndarray, int]:
     return lost, hidden_px
 
 
+def _sunk(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Contour of what stands that has come inwards, as the picture bears out, and what that has laid bare."""
+    bared, nothing = scene.standing & ~scene.observed, np.zeros_like(scene.standing)
+    if np.count_nonzero(bared) < LEAST_SUNK:
+        return nothing, nothing
+    memory, window = scene.memory, scene.window
+    sunk = memory.contours.sunk(window, scene.wanted, scene.look, scene.observed, scene.known)
+    if not sunk.any():
+        return nothing, nothing
+    bared &= cv2.dilate(sunk.view(np.uint8), disc(BARED_PX)) > 0
+    if 2 * np.count_nonzero(memory.looks_otherwise(window, scene.look, bared)) < np.count_nonzero(bared):
+        return nothing, nothing
+    return sunk, bared
+
+
 def _untold(scene: _Scene, lost: np.ndarray, stray: np.ndarray) -> tuple[np.ndarray, int]:
     """Where much is seen no more and nothing bears out that it has gone: what is lost after all, and how many pixels of it
     nothing tells anything of, since what is fresh may be hidden too."""
@@ -304,7 +322,8 @@ def _torn_px(gone: np.ndarray, standing: np.ndarray) -> int:
     return int(gone_px[1:][torn[1:]].sum())
 
 
-def _count(scene: _Scene, fresh: _Fresh, lost: np.ndarray, stray: np.ndarray, rim: np.ndarray) -> tuple[Evidence, ...]:
+def _count(scene: _Scene, fresh: _Fresh, lost: np.ndarray, stray: np.ndarray, rim: np.ndarray, sunk: np.ndarray
+) -> tuple[Evidence, ...]:  # fmt: skip
     sight, window, wanted, observed, known = scene.sight, scene.window, scene.wanted, scene.observed, scene.known
     print_map = sight.print_map
     scopes = [WHOLE, *range(print_map.objects)] if print_map.objects > 1 else [WHOLE]
@@ -317,6 +336,7 @@ def _count(scene: _Scene, fresh: _Fresh, lost: np.ndarray, stray: np.ndarray, ri
         **own(
             expected_px=wanted & known, total_px=complete & known, dim_px=fresh.inside & unsaid, standing_px=scene.standing,
             lost_px=lost, edge_px=edge, unseen_px=missed, deep_px=fresh.deep, barren_px=fresh.barren, xor_px=unsaid,
+            sunk_px=sunk,
         ),
         **near(stray_px=stray, rim_px=rim, extra_px=extra),
     }  # fmt: skip
