@@ -125,6 +125,13 @@ def test_what_is_displaced_on_one_of_two_objects_alone_is_no_shift_since_axes_th
     assert named(23, walls(20) | beside | wall(1, 23, 21), object_id=0).mode == "stray_material"
 
 
+@pytest.mark.parametrize("slid", [False, True])
+def test_what_lies_beside_one_object_like_its_newest_layer_is_no_shift_where_the_others_newest_is_in_place(slid):
+    left, right = wall(0, 21, 21), wall(1, 21, 21)
+    found = named(21, walls(20) | moved(left, -40, 0) | (moved(right, -40, 0) if slid else right), object_id=0)
+    assert found.mode == ("layer_shift" if slid else "stray_material")
+
+
 def test_a_shift_that_lays_one_objects_matter_beside_another_is_told_by_all_objects_together():
     """What the right wall shed lies half beside the left one's top, which shows too little of its own."""
     newest = moved(wall(0, 22, 21) | wall(1, 22, 21), 44, 0)

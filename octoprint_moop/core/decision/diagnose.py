@@ -18,7 +18,8 @@ import numpy as np
 from .counts import WHOLE
 from .decide import Outcome
 from .findings import Findings, Sight
-from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Place, Scope
+from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Scope
+from .onbed import Place
 from .shapes import middle_of
 
 WARPING, DETACHMENT, EXTRUSION_FAILURE = "warping", "detachment", "extrusion_failure"

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Callable, Protocol
+from typing import Callable
 
 import cv2
 import numpy as np
 
-from .counts import WHOLE, WINDOWS
+from .counts import WHOLE, WINDOWS, Evidence
 from .findings import Findings, Sight
+from .onbed import Place, mm_per_px, up_px_per_mm
 from .outlines import Beside, Likeness
 from .shapes import best_place, box_of, displaced, drawn, filled, middle_of, turned, turned_on_bed
 from .spots import disc
@@ -47,18 +48,6 @@ AWAY_APART_PX, SKIRT_PX = 1.5, 3.0  # contours' mean distance; what is thinner l
 AWAY_TURNS_DEG, AWAY_FINER_DEG, AWAY_NEAR_RATIO = range(-90, 90, 30), 10, 0.6  # then about the best
 WAYS, WAY_RAD = 3, np.radians(22.5)  # to either side of where the difference lies
 OTHERS_LEAST_PX, OTHERS_MOVED_PX = 20, 6
-
-
-class Place(Protocol):
-    """What the diagnosis asks of the camera: core/view/place.py."""
-
-    def covered(self, object_id: int, first_layer: int) -> np.ndarray:
-        """(H, W) uint8, 255 where what lies of that object (-1: of everything) from `first_layer` on would be seen alone."""
-
-    def on_bed_mm(self, pixels: np.ndarray, z_mm: float) -> np.ndarray:
-        """(N, 2): where lines of sight through the sight's pixels (N, 2) meet the plane z = z_mm, print coordinates."""
-
-    def layer_z_mm(self, layer: int) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -279,7 +268,7 @@ class Scope:
             others = (self._wanted & self._labelled & ~part).view(np.uint8)
             others = cv2.morphologyEx(others, cv2.MORPH_OPEN, disc(SKIRT_PX * self._finer)) > 0
             from_px = middle_of(part) + self._origin_px
-            for found in _turned_beside(beside, part, others, _mm_per_px(place, from_px)):
+            for found in _turned_beside(beside, part, others, mm_per_px(place, from_px)):
                 fits = found.out_ratio >= OUT_RATIO and found.apart_px <= AWAY_APART_PX * self._finer
                 if fits and (best is None or found.ratio > best.explained_ratio):
                     best = Move(tuple(from_px), tuple(from_px + found.offset_px), found.ratio, found.told_ratio)
@@ -293,11 +282,20 @@ class Scope:
 
         slightly : then what is not seen of them says so as well
         """
-        later = np.bincount(self._owner[(self._layer_of > layer) & self._all_wanted] + 1, minlength=len(self._scopes))
-        others = [one for one in self._others if later[one.object_id + 1] >= OTHERS_LEAST_PX]
-        out_px = [one.stray_px + one.rim_px + one.lost_px + slightly * one.unseen_px for one in others]
-        moved = [one_px for one_px in out_px if one_px >= OTHERS_MOVED_PX]
-        return 2 * len(moved) >= len(others)
+        out_px = [
+            one.stray_px + one.rim_px + one.lost_px + slightly * one.unseen_px for one in self._others_grown(layer + 1)
+        ]
+        moved = sum(one_px >= OTHERS_MOVED_PX for one_px in out_px)
+        if out_px:
+            return 2 * moved >= len(out_px)
+        # those that were laid before the axes slipped are in their place, and of so little others may show nothing
+        newest = [] if self.stray_px < STRAY_LEAST_PX else self._others_grown(layer)
+        return not newest or any(one.stray_px + slightly * one.rim_px >= OTHERS_MOVED_PX for one in newest)
+
+    def _others_grown(self, since: int) -> list[Evidence]:
+        """The other objects to which enough has come from that layer on."""
+        later = np.bincount(self._owner[(self._layer_of >= since) & self._all_wanted] + 1, minlength=len(self._scopes))
+        return [one for one in self._others if later[one.object_id + 1] >= OTHERS_LEAST_PX]
 
     def lifted_corner(self, place: Place, least_ratio: float = EXPLAINED_RATIO) -> Lift | None:
         """How a corner that rises would explain what differs best; None where that is less, or heights cannot be seen.
@@ -311,7 +309,7 @@ class Scope:
             return None
         pixels = np.column_stack([columns, rows]).astype(float)
         middle = pixels.mean(axis=0) + self._origin_px
-        up_px = _up_px_per_mm(place, middle)
+        up_px = up_px_per_mm(place, middle)
         if np.hypot(*up_px) < 1e-3:
             return None
         # affine about the middle, and linear in height: exact enough for a share of the print's width
@@ -369,16 +367,6 @@ class Scope:
         )
 
 
-def _up_px_per_mm(place: Place, pixel: np.ndarray) -> np.ndarray:
-    """(2,): by how much what lies on the bed at a pixel moves in the picture for each millimetre that it rises."""
-    at_mm = place.on_bed_mm(pixel + np.array([(0, 0), (1, 0), (0, 1)]), 1.0)
-    below_mm = place.on_bed_mm(pixel[None], 0.0)[0]
-    per_px = (at_mm[1:] - at_mm[0]).T
-    if abs(np.linalg.det(per_px)) < 1e-9:
-        return np.zeros(2)
-    return np.linalg.solve(per_px, below_mm - at_mm[0])
-
-
 def _turned_beside(beside: Beside, part: np.ndarray, others: np.ndarray, mm_per_px: np.ndarray) -> Collection[Likeness]:
     """How alike a part is in each of its turns on the bed, coarse ones first and finer ones about the best."""
     middle = middle_of(part)
@@ -391,9 +379,3 @@ def _turned_beside(beside: Beside, part: np.ndarray, others: np.ndarray, mm_per_
     if tried[best_deg].ratio >= AWAY_NEAR_RATIO:
         tried.update((finer, alike(finer)) for finer in (best_deg - AWAY_FINER_DEG, best_deg + AWAY_FINER_DEG))
     return tried.values()
-
-
-def _mm_per_px(place: Place, pixel: np.ndarray) -> np.ndarray:
-    """(2, 2): the step on the bed, in columns, for a step of one pixel to the right and one down."""
-    at_mm = place.on_bed_mm(pixel + np.array([(0, 0), (1, 0), (0, 1)]), 0.0)
-    return (at_mm[1:] - at_mm[0]).T
