@@ -7,6 +7,7 @@ seen, along the normal, and points that have come inwards since count where they
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,7 @@ import numpy as np
 from .spots import Window, about
 
 REACH_PX, STEP_PX = 5.0, 0.5  # how far to either side of a contour its edge is looked for
+RIM_PX = 8  # nothing is asked so near to the window's rim
 CHORD = 3  # contour pixels to either side that tell which way is out
 LEAST_CHAIN, LEAST_POINTS, LEAST_LOOKS = 12, 20, 2
 THICK_PX = 4.0  # what is thinner is seen or not as the light falls
@@ -24,6 +26,7 @@ SUNK_PX, LEAST_SUNK = 1.0, 6
 AGREE_RATIO = 0.6  # of what has moved along a stretch, times the share of the stretch that has
 JOINED_PX = 5
 BESIDE_PX, SHADE = 4.0, 9.0  # grey levels by which it has become darker where a shadow falls
+JUST_PX, MATTER = 1.5, 18.0  # just outside of an edge; grey levels by which it looks less like the bed than elsewhere
 PRIOR, OUTLIER_PX, ROUNDS = 5.0, 2.0, 3
 
 
@@ -50,13 +53,16 @@ class Contours:
         looks[at] = np.minimum(looks[at], 254) + 1
 
     def sunk(
-        self, window: Window, wanted: np.ndarray, look: np.ndarray, seen: np.ndarray, known: np.ndarray
-    ) -> np.ndarray:
+        self, window: Window, wanted: np.ndarray, look: np.ndarray, seen: np.ndarray, known: np.ndarray,
+        unlike_bed: Callable[[], np.ndarray],
+    ) -> np.ndarray:  # fmt: skip
         """(h, w) bool: contour pixels from which the edge has come inwards by more than a pixel, with their neighbours and the
-        way they have. look : (3, h, w) uint8; wanted, seen, known : (h, w) bool
+        way they have. look : (3, h, w) uint8; wanted, seen, known : (h, w) bool; unlike_bed : gives (h, w) uint8, by how
+        many grey levels a pixel looks unlike the bare bed, 0 where that is not known
 
         By what all contours have moved, and have grown or shrunk, is no part of it: that is camera or light. Nor is what has
-        become darker on both sides: a shadow falls there.
+        become darker on both sides, since a shadow falls there, nor what looks less like the bed than what lies as near to
+        the edges elsewhere: that is matter in shade.
         """
         sunk = np.zeros(wanted.shape, bool)
         points = _Points.of(wanted)
@@ -68,11 +74,16 @@ class Contours:
         now_px, found = points.edges(seen, known, was_px)
         if np.count_nonzero(found) < LEAST_POINTS:
             return sunk
-        points, moved_px = points[found], (now_px - was_px)[found]
+        points, now_px, moved_px = points[found], now_px[found], (now_px - was_px)[found]
         moved_px = moved_px - np.median(moved_px)
         moved_px -= points.normal @ _common(points.normal, moved_px)
         come = moved_px < -SUNK_PX
         come &= points.beside(look) > self._beside[window][points.row, points.column] - SHADE
+        if np.count_nonzero(come) < LEAST_SUNK:
+            return sunk
+        unlike = unlike_bed()[points.inwards(-np.maximum(now_px, -REACH_PX) - JUST_PX)].astype(np.float32)
+        if not come.all():
+            come &= unlike <= np.percentile(unlike[~come], 75) + MATTER
         if np.count_nonzero(come) < LEAST_SUNK:
             return sunk
         sunk[points.row[come], points.column[come]] = True
@@ -124,7 +135,7 @@ class _Points:
         chords = np.concatenate([np.roll(chain, -CHORD, axis=0) - np.roll(chain, CHORD, axis=0) for chain in chains])
         length = np.hypot(*chords.T.astype(float))
         normal = np.column_stack([-chords[:, 1], chords[:, 0]]) / np.maximum(length, 1e-6)[:, None]
-        inside = (pixels > REACH_PX).all(axis=1) & (pixels < np.array([width, height]) - 1 - REACH_PX).all(axis=1)
+        inside = (pixels > RIM_PX).all(axis=1) & (pixels < np.array([width, height]) - 1 - RIM_PX).all(axis=1)
         sure = inside & (length > CHORD)  # not where a contour turns back
         points = cls(pixels[sure, 1], pixels[sure, 0], normal[sure])
         return points[wanted[points.inwards(THICK_PX)] & ~wanted[points.inwards(-2.0)]]
@@ -132,9 +143,9 @@ class _Points:
     def __getitem__(self, which: np.ndarray) -> _Points:
         return _Points(self.row[which], self.column[which], self.normal[which])
 
-    def inwards(self, by_px: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of the pixels so far within the contour."""
-        right, down = np.rint(by_px * self.normal).astype(int).T
+    def inwards(self, by_px: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the pixels so far within the contour. by_px : a number, or (N,)"""
+        right, down = np.rint(np.reshape(by_px, (-1, 1)) * self.normal).astype(int).T
         return self.row - down, self.column - right
 
     def beside(self, look: np.ndarray) -> np.ndarray:

@@ -257,6 +257,10 @@ class Memory:
         """bool: where it is known how the bed looks without matter."""
         return self._has_bare[window]
 
+    def unlike_bare(self, window: Window, look: np.ndarray) -> np.ndarray:
+        """(h, w) uint8: by how many grey levels a pixel looks unlike the bare bed; 0 where that is not known."""
+        return np.where(self._has_bare[window], self._from_bare(window, look), np.uint8(0))
+
     def bare(self, window: Window) -> np.ndarray:
         """(3, h, w) uint8: how the bed looks without matter, where that is known."""
         return self._bare[:, window[0], window[1]]

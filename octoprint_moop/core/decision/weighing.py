@@ -197,7 +197,9 @@ def _sunk(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
     if np.count_nonzero(bared) < LEAST_SUNK:
         return nothing, nothing
     memory, window = scene.memory, scene.window
-    sunk = memory.contours.sunk(window, scene.wanted, scene.look, scene.observed, scene.known)
+    sunk = memory.contours.sunk(
+        window, scene.wanted, scene.look, scene.observed, scene.known, lambda: memory.unlike_bare(window, scene.look)
+    )
     if not sunk.any():
         return nothing, nothing
     bared &= cv2.dilate(sunk.view(np.uint8), disc(BARED_PX)) > 0
