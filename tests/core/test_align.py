@@ -122,3 +122,18 @@ def test_a_misfit_goes_along_with_a_print_that_is_seen_elsewhere_because_its_bed
     moved = np.array([[1.5, 0, 40.0], [0, 1.5, -10.0], [0, 0, 1]])
     memory.carried(moved, (200, 300))
     assert memory.misfit.alignment.at(points * 1.5 + [40, -10]) == pytest.approx(before.at(points))
+
+
+LINE = [(30, 40), (31, 40), (71, 180), (70, 180)]  # a line with which the nozzle was primed, left of all else
+
+
+def test_a_line_that_is_hardly_seen_says_nothing_of_where_the_print_lies():
+    """Of the line only its upper third is seen, and that two pixels too far left: where pixels cross a threshold by chance."""
+    low = [[(100, 150), (150, 146), (152, 164), (102, 168)]]
+    wanted, body = drawn(parts=[*low, LINE]), drawn(parts=low)
+    strand = drawn(offset=(-2.5, 0.0), parts=[LINE])
+    strand[85:] = False
+    told = fitted(body | strand, wanted=wanted).alignment
+    assert told.at(np.array(low[0], float)) == pytest.approx(np.zeros((4, 2)), abs=0.3)
+    whole = fitted(drawn(offset=(-2.0, 0.0), parts=[*low, LINE]), wanted=wanted).alignment
+    assert whole.at(np.array(LINE, float)) == pytest.approx(np.tile((-2.0, 0.0), (4, 1)), abs=0.4)

@@ -24,6 +24,7 @@ ROUNDS = 5
 NOISE_PX = 0.7
 PRIOR_PX = (3.0, 3.0, 1.2, 1.2, 1.2, 1.2, 1.5)  # two of offset, four of shear, turn and scale at the print's rim, halo
 LEAST_POINTS, LEAST_RATIO = 40, 0.35
+LINE_SEEN = 0.8  # of the edges of what is only a line, to say where it lies
 WORTH_PX = 0.05  # of the contour's length: what one more pixel of offset must explain, at the coarse search
 
 
@@ -152,13 +153,18 @@ def fit(
     blind = (~known[near]).astype(np.uint8)
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX, STEP_PX)
     lines = normals[:, :, None] * offsets - corner[:, None]
+    thin = _of_lines(wanted[few], points - [left, top], normals)
     values = np.array([*start.offset_px, *start.shear_px, 0.0])
     prior = NOISE_PX**2 / np.array(PRIOR_PX) ** 2
     residual, found = np.zeros(len(points)), np.zeros(len(points), bool)
     for _ in range(ROUNDS):
         here = points + start._of(values).at(points)
         along, found = _edges(soft, blind, here[:, :, None] + lines, offsets, values[6])
-        if np.count_nonzero(found) < max(LEAST_POINTS, LEAST_RATIO * len(points)):
+        # of a line that is hardly seen, what is seen tells little of where it lies
+        hardly = np.count_nonzero(found & thin) < LINE_SEEN * np.count_nonzero(thin)
+        asked = ~thin if hardly else np.ones_like(thin)
+        found &= asked
+        if np.count_nonzero(found) < max(LEAST_POINTS, LEAST_RATIO * np.count_nonzero(asked)):
             return None
         residual = along - values[6]
         weight = _biweight(residual[found])
@@ -169,7 +175,7 @@ def fit(
         if np.abs(step).max() < 0.02:
             break
     residual = residual - design @ step
-    share = float(np.mean(found & (np.abs(residual) < 1.5)))
+    share = float(np.mean((found & (np.abs(residual) < 1.5))[asked]))
     if share < LEAST_RATIO:
         return None
     return Fit(start._of(values), float(values[6]), residual[found], share)
@@ -195,6 +201,13 @@ def _contours(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     normals = -slope[sure] / length[sure, None]
     # the mask's edge lies half a pixel beyond its outermost pixel's middle
     return points[sure] + 0.5 * normals, normals.astype(np.float64)
+
+
+def _of_lines(mask: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(N,) bool: contour points of what is only a pixel or two wide: a skirt, or the line with which a nozzle is primed."""
+    wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    column, row = np.round(points - 0.5 * normals).astype(int).T
+    return wide[row, column] == 0
 
 
 def _edges(
