@@ -279,6 +279,50 @@ def test_a_camera_that_sees_one_layer_of_three_raises_no_alarm():
     assert seen[3:] == [SUSPECT] * 9
 
 
+def covered(share: float, turned: bool = False) -> Look:
+    """All is well, but of 1,000 pixels in each window that share is covered."""
+    seen = look()
+    come = ((1000, round(1000 * share)),) * 4
+    return replace(seen, scopes=tuple(replace(one, come=come) for one in seen.scopes), turned=turned)
+
+
+def test_two_layers_of_which_nothing_is_covered_are_a_failure():
+    course = Course("medium")
+    assert [verdict(course, covered(0.7)) for _ in range(6)] == [OK] * 6
+    assert [verdict(course, covered(0.1)), verdict(course, covered(0.0))] == [SUSPECT, FAILED]
+
+
+def test_once_the_camera_stands_elsewhere_what_is_usually_covered_is_learned_anew():
+    course = Course("medium")
+    for _ in range(6):
+        course.rule(covered(0.7))
+    assert [verdict(course, covered(0.3, turned=n == 0)) for n in range(5)] == [OK] * 5
+    assert verdict(course, covered(0.0)) == SUSPECT
+
+
+def strange(course: Course) -> str:
+    """Half of the print looks otherwise, and only a hundredth of it is borne out to have gone."""
+    seen = look()
+    scopes = tuple(replace(one, lost_px=400, xor_px=10_000) for one in seen.scopes)
+    return verdict(course, replace(seen, scopes=scopes))
+
+
+def test_what_hardly_explains_what_differs_is_suspect_for_five_checks_and_a_failure_then():
+    course = course_after_good()
+    assert [strange(course) for _ in range(6)] == [SUSPECT] * 5 + [FAILED]
+
+
+def test_what_once_was_strange_may_be_strange_again_and_the_user_who_went_on_knows():
+    course = course_after_good()
+    assert [strange(course) for _ in range(3)] == [SUSPECT] * 3
+    for _ in range(6):
+        course.rule(look())
+    assert [strange(course) for _ in range(3)] == [SUSPECT] * 3
+    course.begin_anew(accept)
+    course.rule(look())
+    assert strange(course) == FAILED
+
+
 def test_what_hides_behind_the_head_teaches_nothing_so_the_first_plain_sight_of_the_print_only_suspects():
     course = Course("medium")
     for _ in range(4):

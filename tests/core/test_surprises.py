@@ -15,6 +15,7 @@ from octoprint_moop.core.decision.decide import (
     Surprise,
     Track,
     accept,
+    accounts,
     blame,
     judge,
     learn,
@@ -276,23 +277,76 @@ def test_an_object_that_is_well_stays_well():
 # --- fresh matter -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("newer_seen_px", "surprise"), [(400, 0.0), (395, 1.0), (390, 2.0), (200, 2.0)])
-def test_what_is_not_seen_of_older_layers_counts_as_far_as_newer_ones_bear_it_out(newer_seen_px, surprise):
-    """A tenth of what eight layers cover is not seen; of the last four none, an eighth of that share, a quarter, five times."""
-    good = track_of(unseen=0.0, lost=0.0)
-    fresh = ((0, 0), (0, 0), (400, newer_seen_px), (1600, 1440))
-    assert size("all", good, unseen_px=160, fresh=fresh) == pytest.approx(surprise)
-    assert size("fresh", track_of(barren=0.0), barren_px=160, fresh=fresh) == pytest.approx(surprise)
-    learned = learn(good, replace(PLAIN, unseen_px=160, barren_px=160, fresh=fresh))
-    assert learned.unseen[-1] * 20_000 == learned.barren[-1] * 20_000 == pytest.approx(80 * surprise)
+def covering(share: float) -> tuple[tuple[int, int], ...]:
+    """1,000 pixels in each window tell how far they are covered."""
+    return ((1000, round(1000 * share)),) * 4
 
 
-def test_more_than_some_spots_needs_nothing_to_bear_it_out():
-    fresh = ((0, 0), (0, 0), (400, 400), (1600, 1200))
-    assert size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=fresh) == 2
+def coming(*past: float) -> Track:
+    """So far such shares of fresh matter were covered; all else was nothing."""
+    return replace(track_of(unseen=0.0, lost=0.0, barren=0.0), come=(past,) * 4)
 
 
-def test_too_few_new_pixels_bear_nothing_out():
-    assert (
-        size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, fresh=((0, 0), (0, 0), (39, 39), (1600, 1440))) == 2
+FEW = 0.25 / (1000 / 10) ** 0.5
+
+
+def test_less_covered_than_usual_surprises_in_parts_of_a_fifth_or_of_five_spreads():
+    assert size("fresh", coming(*(0.7,) * 4), come=covering(0.1)) == pytest.approx(0.6 / (0.2 + FEW))
+    assert size("fresh", coming(0.6, 0.7, 0.7, 0.8), come=covering(0.1)) == pytest.approx(
+        0.6 / (5 * 1.4826 * 0.05 + FEW)
     )
+    assert size("fresh", coming(*(0.7,) * 4), come=covering(0.9)) == 0
+
+
+def test_one_window_alone_or_one_without_a_past_or_with_few_pixels_does_not_tell_that_less_is_covered():
+    steady = coming(*(0.7,) * 4)
+    alone = ((0, 0), (1000, 0), (1000, 700), (1000, 700))
+    assert size("fresh", steady, come=alone) == 0
+    assert size("fresh", steady, come=((0, 0), (1000, 0), (1000, 350), (1000, 700))) == pytest.approx(
+        0.35 / (0.2 + FEW)
+    )
+    assert size("fresh", coming(*(0.7,) * 3), come=covering(0.1)) == 0
+    assert size("fresh", steady, come=((39, 0),) * 4) == 0
+
+
+def test_where_coverage_tells_masks_are_not_asked():
+    seen = replace(coming(*(0.7,) * 4), seen=((0.9,) * 4,) * 4)
+    shown = ((1000, 100),) * 4
+    assert size("fresh", seen, fresh=shown, come=covering(0.7)) == 0
+    assert size("fresh", seen, fresh=shown) > 1
+
+
+@pytest.mark.parametrize(("limits", "borne_out"), [(0.0, 0.0), (0.25, 0.5), (0.5, 1.0), (3.0, 1.0)])
+def test_what_looks_bare_counts_as_far_as_coverage_bears_it_out(limits, borne_out):
+    steady, share = coming(*(0.7,) * 4), 0.7 - limits * (0.2 + FEW)
+    come = ((1000, 700), (1000, 700), (1000, 700), (1000, round(1000 * share)))
+    assert size("all", steady, unseen_px=160, come=come) == pytest.approx(2 * borne_out, abs=0.01)
+    assert size("fresh", steady, barren_px=160, come=come) == pytest.approx(2 * borne_out, abs=0.01)
+    learned = learn(steady, replace(PLAIN, unseen_px=160, barren_px=160, come=come))
+    assert learned.unseen[-1] * 20_000 == learned.barren[-1] * 20_000 == pytest.approx(160 * borne_out, abs=1)
+
+
+def test_until_checks_have_told_a_half_that_is_covered_bears_nothing_out():
+    anew = track_of(unseen=0.0, lost=0.0)
+    assert size("all", anew, unseen_px=160, come=covering(0.5)) == 0
+    assert size("all", anew, unseen_px=160, come=covering(0.2)) == 2
+
+
+def test_where_nothing_tells_how_far_it_is_covered_all_that_looks_bare_counts():
+    assert size("all", track_of(unseen=0.0, lost=0.0), unseen_px=160, come=((39, 39),) * 4) == 2
+
+
+def test_a_check_in_which_most_of_what_differs_is_not_explained_is_not_accounted_for():
+    good = track_of(unlike=0.01)
+    strange = replace(PLAIN, xor_px=200 + 4000)
+    assert not accounts(good, replace(strange, lost_px=1100))
+    for explained in (
+        {"lost_px": 1200},
+        {"stray_px": 1200},
+        {"rim_px": 600, "stray_px": 600},
+        {"unseen_px": 1200},
+        {"come": ((0, 0),) * 3 + ((2000, 800),)},
+    ):
+        assert accounts(good, replace(strange, **explained))
+    assert accounts(good, replace(PLAIN, xor_px=200 + 500))  # a fortieth of the print: no more than may be
+    assert accounts(Track(), strange)  # nothing is known of what is usual

@@ -12,6 +12,7 @@ from .spots import about
 
 WINDOWS = (1, 2, 4, 8)  # layers back over which fresh matter is counted
 WHOLE = -1
+Windows = tuple  # of (pixels, how many of them count) for each of WINDOWS
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Evidence:
     unseen_px   : matter of the last layers that is not seen and looks bare
     deep_px     : well inside what the last layers cover; barren_px : of it, what was never seen
     fresh       : for each of WINDOWS, pixels that its layers newly cover, and how many of them are seen
+    come        : the same of those that can tell how far they are covered, and how many covered ones that is worth
     sunk_px     : contour of what stands that has come inwards, in one way
     """
 
@@ -42,7 +44,8 @@ class Evidence:
     deep_px: int
     barren_px: int
     xor_px: int
-    fresh: tuple[tuple[int, int], ...]
+    fresh: Windows
+    come: Windows = ((0, 0),) * len(WINDOWS)
     sunk_px: int = 0
 
     @property
@@ -84,18 +87,19 @@ class Counter:
         set_in = np.unpackbits(np.arange(256, dtype=np.uint8)[None], axis=0)[-len(masks) :]
         return dict(zip(masks, (set_in.astype(float) @ both.T.astype(float)).astype(np.int64)))
 
-    def younger(
-        self, mask: np.ndarray, seen: np.ndarray, layer_of: np.ndarray, layer: int
-    ) -> list[tuple[tuple[int, int], ...]]:
-        """For each scope and each of WINDOWS: the mask's pixels of the last so many layers, and how many are seen.
+    def younger(self, mask: np.ndarray, share: np.ndarray, layer_of: np.ndarray, layer: int) -> list[Windows]:
+        """For each scope and each of WINDOWS: the mask's pixels of the last so many layers, and the sum of their shares.
 
-        mask, seen : bool; no pixel of the mask is of a later layer than `layer`, or of an earlier one than WINDOWS reach
+        mask : bool, no pixel of which is of a later layer than `layer`, or of an earlier one than WINDOWS reach
+        share : of each of the mask's pixels, bool or 0 to 1
         """
         mask, oldest = mask[self._few], WINDOWS[-1]
-        kinds = 2 * (layer - layer_of[self._few][mask]) + seen[self._few][mask]
+        kinds = layer - layer_of[self._few][mask]
         if self._owner is not None:
-            kinds += self._owner[mask].astype(kinds.dtype) * (2 * oldest)
-        both = np.bincount(kinds, minlength=self._scopes * 2 * oldest).reshape(self._scopes, -1, 2)
-        both[0] = both.sum(axis=0)
-        upto = both.cumsum(axis=1)[:, [layers - 1 for layers in WINDOWS]].tolist()
-        return [tuple((unseen_px + seen_px, seen_px) for unseen_px, seen_px in scope) for scope in upto]
+            kinds = kinds + self._owner[mask].astype(kinds.dtype) * oldest
+        size = self._scopes * oldest
+        both = np.stack([np.bincount(kinds, minlength=size), np.bincount(kinds, share, minlength=size)])
+        both = both.reshape(2, self._scopes, oldest)
+        both[:, 0] = both.sum(axis=1)
+        upto = both.cumsum(axis=2)[:, :, [layers - 1 for layers in WINDOWS]].round().astype(int).tolist()
+        return [tuple(zip(pixels, shares)) for pixels, shares in zip(*upto)]

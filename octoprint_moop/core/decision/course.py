@@ -14,7 +14,7 @@ from typing import Any, Callable
 
 from ..header import Moment
 from .compare import Comparison
-from .counts import WHOLE, Evidence
+from .counts import WHOLE, Evidence, Windows
 from .decide import (
     CAMERA_MOVED,
     CONFIRMED,
@@ -27,16 +27,19 @@ from .decide import (
     Outcome,
     Track,
     accept,
+    accounts,
     blame,
     judge,
     learn,
     matter_limit,
+    seen_from_elsewhere,
 )
 from .diagnose import Diagnosis
 
 TEACHES = "medium"  # a frame in which the rule finds nothing at this sensitivity teaches what is usual
 SEVERITY = {OK: 0, SUSPECT: 1, FAILED: 2}
 RECENT_LOOKS = 10
+MOST_STRANGE = 5  # in a row; what stands before a camera goes away
 MOST_BLIND = 5  # of the recent looks; what spoils more of them spoils the others too, and less plainly
 
 
@@ -78,7 +81,9 @@ class Look:
             str(data["blind"]),
             str(data["reason"]),
             tuple(
-                Evidence(**{**scope, "fresh": tuple((new, seen) for new, seen in scope["fresh"])})
+                Evidence(
+                    **{**scope, **{name: tuple((new, seen) for new, seen in scope[name]) for name in ("fresh", "come")}}
+                )
                 for scope in data["scopes"]
             ),
             {int(number): Diagnosis(mode, sentence) for number, mode, sentence in data["names"]},
@@ -122,6 +127,7 @@ class Course:
         self._shaken = False
         self._went_on = False  # the user has, with things out of place: from then on E says nothing of how well is seen
         self._recent_blind: tuple[bool, ...] = ()
+        self._strange = 0
 
     def blind(self, verdict: str) -> None:
         """A look could not be judged, so the next one that can only suspects: the camera that was moved may be looked
@@ -148,6 +154,8 @@ class Course:
             self._recent_blind = (*self._recent_blind, bool(look.little))[-RECENT_LOOKS:]
         self._before = self._state
         tracks, outcomes, alarmed = dict(self._state.tracks), [], False
+        if look.turned:
+            tracks = {scope: seen_from_elsewhere(track) for scope, track in tracks.items()}
         quiet = {number for number, track in tracks.items() if track.quiet}
         scopes = tuple(_without_fresh_of(look.scopes, quiet))
         for evidence in scopes:
@@ -160,7 +168,8 @@ class Course:
             outcomes = [
                 one if max(one.size("lost"), one.size("fresh")) >= 1 else _only_suspect(one) for one in outcomes
             ]
-        if self._shaken or sum(self._recent_blind) > MOST_BLIND:
+        self._strange = 0 if self._went_on or accounts(tracks[WHOLE], scopes[0]) else self._strange + 1
+        if 0 < self._strange <= MOST_STRANGE or self._shaken or sum(self._recent_blind) > MOST_BLIND:
             outcomes = [_only_suspect(outcome) for outcome in outcomes]
         self._shaken = False
         worst = max(outcomes, key=_weight)
@@ -263,12 +272,16 @@ def _without_fresh_of(scopes: Sequence[Evidence], quiet: Collection[int]) -> Ite
                         unseen_px=max(scope.unseen_px - part.unseen_px, 0),
                         deep_px=max(scope.deep_px - part.deep_px, 0),
                         barren_px=max(scope.barren_px - part.barren_px, 0),
-                        fresh=tuple(
-                            (max(new - its_new, 0), max(seen - its_seen, 0))
-                            for (new, seen), (its_new, its_seen) in zip(scope.fresh, part.fresh)
-                        ),
+                        fresh=_less(scope.fresh, part.fresh),
+                        come=_less(scope.come, part.come),
                     )
         yield scope
+
+
+def _less(windows: Windows, others: Windows) -> Windows:
+    return tuple(
+        (max(new - its_new, 0), max(seen - its_seen, 0)) for (new, seen), (its_new, its_seen) in zip(windows, others)
+    )
 
 
 def _in_both(first: Sequence[Evidence], second: Sequence[Evidence]) -> tuple[Evidence, ...]:
@@ -279,11 +292,17 @@ def _in_both(first: Sequence[Evidence], second: Sequence[Evidence]) -> tuple[Evi
 
 def _lesser(one: Evidence, other: Evidence) -> Evidence:
     wrong = ("lost_px", "stray_px", "rim_px", "unseen_px", "barren_px", "sunk_px")
-    fresh = tuple(
+    fresh, come = _more(one.fresh, other.fresh), _more(one.come, other.come)
+    least = {name: min(getattr(one, name), getattr(other, name)) for name in wrong}
+    return replace(other, fresh=fresh, come=come, **least)
+
+
+def _more(before: Windows, windows: Windows) -> Windows:
+    """The windows, with the larger share of both."""
+    return tuple(
         (new_px, max(seen_px, min(round(before_seen_px * new_px / max(before_px, 1)), new_px)))
-        for (before_px, before_seen_px), (new_px, seen_px) in zip(one.fresh, other.fresh)
+        for (before_px, before_seen_px), (new_px, seen_px) in zip(before, windows)
     )
-    return replace(other, fresh=fresh, **{name: min(getattr(one, name), getattr(other, name)) for name in wrong})
 
 
 def _only_suspect(outcome: Outcome) -> Outcome:

@@ -31,8 +31,10 @@ SUNK_LIMIT_PX = 14  # of contour that has come inwards
 RIM_LIMIT = 0.1  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
 FRESH_LIMIT = 0.35  # how far the seen share of fresh matter may fall below its baseline
-BORNE_OUT = 4.0  # times what newer layers show of it: where they show a quarter as much by area, all of it counts
-FEW_SPOTS = 0.2  # of what eight layers cover: more than that is no spots, whatever is seen of the newest
+UNCOVERED_LIMIT = 0.2  # the same of the share that is covered
+COVERED_PRIOR = 0.5  # of fresh matter, as long as too few checks have told
+BORNE_OUT = 2.0  # times the surprise that less is covered: from a half of a limit on, all that looks bare counts
+ACCOUNTED, ACCOUNTED_LEAST = 0.3, 0.03  # of what has come to differ, and of the complete silhouette
 FRESH_CHECKS = 4  # so many good checks before shares are compared; until then only barren matter counts
 BARREN_PRIOR = 0.3  # share of barren matter that is let pass until then
 CUSUM_ALONE = 5.0  # so much weak evidence needs no strong one
@@ -67,6 +69,7 @@ class Track:
     dim: tuple[float, ...] = ()
     unlike: tuple[float, ...] = ()
     seen: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
+    come: tuple[tuple[float, ...], ...] = field(default_factory=lambda: tuple(() for _ in WINDOWS))
     last: float = 0.0
     cusum: float = 0.0
     teaching_cusum: float = 0.0
@@ -111,35 +114,57 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     # a pixel's width of light along the edges comes and goes; a shift shows along a good part of them
     faint = _above(track.rim, evidence.rim_px / total) / max(limit, wide * RIM_LIMIT * evidence.edge_px / total)
     faint += _above(track.sunk, evidence.sunk_px) / (_widened(track, sensitivity) * SUNK_LIMIT_PX)
+    fresh = 0.0
     if not track.quiet:
-        faint += _above(track.unseen, _borne_out(evidence) * evidence.unseen_px / total) / limit
+        borne_out = _borne_out(track, evidence, wide)
+        faint += _above(track.unseen, borne_out * evidence.unseen_px / total) / limit
+        fresh = max(_barren(track, evidence, limit, borne_out), _not_come(track, evidence, wide))
     found = [
         Surprise("lost", lost),
         Surprise("stray", stray),
-        Surprise("fresh", 0.0 if track.quiet else max(_barren(track, evidence, limit), *_fresh(track, evidence, wide))),
+        Surprise("fresh", fresh),
         Surprise("all", lost + stray + faint),
     ]
     return tuple(sorted(found, key=lambda surprise: -surprise.size))
 
 
-def _barren(track: Track, evidence: Evidence, limit: float) -> float:
+def _barren(track: Track, evidence: Evidence, limit: float, borne_out: float) -> float:
     """The surprise that matter well inside the last layers' outline was never seen."""
     total = max(evidence.total_px, 1)
     usual = _usual(track.barren)
     if len(track.barren) < FRESH_CHECKS:
         usual = max(usual, BARREN_PRIOR * evidence.deep_px / total)
-    return (_borne_out(evidence) * evidence.barren_px / total - usual) / limit
+    return (borne_out * evidence.barren_px / total - usual) / limit
 
 
-def _borne_out(evidence: Evidence) -> float:
-    """How far the newer half of the last layers bears out that matter is missing, 0 to 1: where they are seen, matter comes,
-    and a few spots that are not seen of those before are in the shade of it, or shine like the bed.
+def _borne_out(track: Track, evidence: Evidence, wide: float) -> float:
+    """How far what is covered bears out that fresh matter is missing, 0 to 1: single pixels of it may look like the bed in
+    the shade of what grows about them, or shine like it. 1 where nothing tells."""
+    return min(1.0, BORNE_OUT * max(_uncovered(track, evidence, wide, COVERED_PRIOR), default=1.0))
+
+
+def _not_come(track: Track, evidence: Evidence, wide: float) -> float:
+    """The surprise that fresh matter has not come: that less is covered, as two windows agree, else that less is seen."""
+    uncovered = _uncovered(track, evidence, wide)
+    return max([min(pair) for pair in zip(uncovered, uncovered[1:])] or _fresh(track, evidence, wide))
+
+
+def _uncovered(track: Track, evidence: Evidence, wide: float, prior: float | None = None) -> list[float]:
+    """The surprise that less is covered of what the last layers should have covered, for each window that can tell.
+
+    prior : the share that is usual before enough checks have told; None where a window is left out until then
     """
-    (newer_px, newer_seen_px), (all_px, seen_px) = evidence.fresh[-2:]
-    if newer_px < FRESH_LEAST_PX or seen_px >= all_px or seen_px < (1 - FEW_SPOTS) * all_px:
-        return 1.0
-    newer_share, share = 1 - newer_seen_px / newer_px, 1 - seen_px / all_px
-    return min(1.0, BORNE_OUT * newer_share / share)
+    found = []
+    for past, (told_px, covered_px) in zip(track.come, evidence.come):
+        if len(past) >= FRESH_CHECKS:
+            usual, limit = _usual(past), max(UNCOVERED_LIMIT, 5 * _spread(past))
+        elif prior is not None:
+            usual, limit = prior, UNCOVERED_LIMIT
+        else:
+            continue
+        if told_px >= FRESH_LEAST_PX:
+            found.append(_fallen(usual, covered_px / told_px, told_px, limit, wide))
+    return found
 
 
 def _above(past: tuple[float, ...], value: float) -> float:
@@ -156,13 +181,15 @@ def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
         if new_px < FRESH_LEAST_PX or len(past) < FRESH_CHECKS:
             continue
         usual = _usual(past)
-        if seen_px / new_px >= usual:
-            continue
-        limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * _spread(past)) * min(wide, 1.3)
-        # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
-        limit += 0.25 / (new_px / 10) ** 0.5
-        found.append((usual - seen_px / new_px) / limit)
+        limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * _spread(past))
+        found.append(_fallen(usual, seen_px / new_px, new_px, limit, wide))
     return found
+
+
+def _fallen(usual: float, share: float, pixels: int, limit: float, wide: float) -> float:
+    """How many limits a share of so many pixels lies below what is usual."""
+    # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
+    return max(usual - share, 0.0) / (limit * min(wide, 1.3) + 0.25 / (pixels / 10) ** 0.5)
 
 
 def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = DECISIVE) -> tuple[Outcome, Track]:
@@ -187,9 +214,24 @@ def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = 
     return Outcome(evidence.object_id, verdict, found, cusum), replace(track, cusum=cusum, last=found[0].size)
 
 
+def accounts(track: Track, evidence: Evidence) -> bool:
+    """Whether what is found wrong accounts for what has come to differ from what is expected.
+
+    A failure can be told pixel by pixel; where much has changed and hardly any of it is borne out to be lost, stray or
+    missing, something else has changed: what stands before the camera, or the light.
+    """
+    grown_px = evidence.xor_px - _usual(track.unlike) * evidence.total_px
+    if not track.unlike or grown_px < ACCOUNTED_LEAST * evidence.total_px:
+        return True
+    told_px, covered_px = evidence.come[-1]
+    missing_px = max(evidence.unseen_px, evidence.barren_px, told_px - covered_px)
+    return evidence.lost_px + evidence.stray_px + evidence.rim_px + missing_px >= ACCOUNTED * grown_px
+
+
 def _as_if_come(evidence: Evidence) -> Evidence:
     """The evidence, were all that the last layers should have added seen."""
-    return replace(evidence, unseen_px=0, barren_px=0, fresh=tuple((new_px, new_px) for new_px, _ in evidence.fresh))
+    fresh, come = (tuple((new_px, new_px) for new_px, _ in windows) for windows in (evidence.fresh, evidence.come))
+    return replace(evidence, unseen_px=0, barren_px=0, fresh=fresh, come=come)
 
 
 def blame(outcomes: Sequence[Outcome]) -> list[Outcome]:
@@ -214,7 +256,7 @@ def blame(outcomes: Sequence[Outcome]) -> list[Outcome]:
 
 def learn(track: Track, evidence: Evidence) -> Track:
     """The track with a good check taken into its baseline."""
-    total = max(evidence.total_px, 1)
+    total, borne_out = max(evidence.total_px, 1), _borne_out(track, evidence, 1.0)
     return replace(
         track,
         quiet=max(track.quiet - _comes(evidence), 0),
@@ -222,13 +264,17 @@ def learn(track: Track, evidence: Evidence) -> Track:
         stray=_with(track.stray, evidence.stray_px / total),
         rim=_with(track.rim, evidence.rim_px / total),
         sunk=_with(track.sunk, evidence.sunk_px),
-        unseen=_with(track.unseen, _borne_out(evidence) * evidence.unseen_px / total),
-        barren=_with(track.barren, _borne_out(evidence) * evidence.barren_px / total),
+        unseen=_with(track.unseen, borne_out * evidence.unseen_px / total),
+        barren=_with(track.barren, borne_out * evidence.barren_px / total),
         unlike=_with(track.unlike, evidence.error_ratio),
         dim=_with(track.dim, evidence.dim_px / max(evidence.expected_px, 1)),
         seen=tuple(
             _with(past, seen_px / new_px) if new_px >= FRESH_LEAST_PX else past
             for past, (new_px, seen_px) in zip(track.seen, evidence.fresh)
+        ),
+        come=tuple(
+            _with(past, covered_px / told_px) if told_px >= FRESH_LEAST_PX else past
+            for past, (told_px, covered_px) in zip(track.come, evidence.come)
         ),
     )
 
@@ -236,6 +282,11 @@ def learn(track: Track, evidence: Evidence) -> Track:
 def accept(track: Track) -> Track:
     """The track where the user goes on with the print as it is: a new past begins."""
     return Track(wide=track.wide, quiet=WINDOWS[-1])
+
+
+def seen_from_elsewhere(track: Track) -> Track:
+    """The track where the camera was found to stand elsewhere: what is usually covered of new lines is learned anew."""
+    return replace(track, come=Track().come)
 
 
 def pardon(track: Track) -> Track:

@@ -10,6 +10,7 @@ import numpy as np
 from .align import Alignment
 from .contours import LEAST_SUNK
 from .counts import WHOLE, WINDOWS, Counter, Evidence
+from .coverage import coverage
 from .findings import Findings, Sight
 from .memory import Memory, planes
 from .shade import is_shaded_matter
@@ -114,6 +115,7 @@ class _Fresh:
     later  : what they cover, without the first layer; unseen, missed : of it, what is not seen, and what of that counts
     deep   : what lies well inside what they cover; barren : of it, what was never seen
     inside : well inside all that is expected; lying : matter that is seen where it must be, and has really come
+    telling : of later, pixels that tell how far they are covered; covered : (n,) float32, how far each of them is
     """
 
     later: np.ndarray
@@ -122,6 +124,8 @@ class _Fresh:
     barren: np.ndarray
     inside: np.ndarray
     lying: np.ndarray
+    telling: np.ndarray
+    covered: np.ndarray
     off_px: int
 
     @property
@@ -158,7 +162,10 @@ def _fresh(scene: _Scene) -> _Fresh:
         has_bare = memory.has_bare(window)
         if is_shaded_matter(look, memory.bare(window), (unseen | barren) & has_bare, lying, scene.bed & has_bare):
             unseen, barren = np.zeros_like(unseen), np.zeros_like(barren)
-    return _Fresh(later, unseen, deep, barren, inside, lying, off_px)
+    telling, covered_ratio = coverage(
+        look, memory.bare(window), scene.standing & lying, later & memory.has_bare(window)
+    )
+    return _Fresh(later, unseen, deep, barren, inside, lying, telling, covered_ratio, off_px)
 
 
 def _stray(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -343,9 +350,11 @@ def _count(scene: _Scene, fresh: _Fresh, lost: np.ndarray, stray: np.ndarray, ri
         **near(stray_px=stray, rim_px=rim, extra_px=extra),
     }  # fmt: skip
     figures["xor_px"] += figures.pop("extra_px")
-    younger = own.younger(fresh.later, ~missed, print_map.layer[window], sight.layer)
+    layer_of = print_map.layer[window]
+    seen = own.younger(fresh.later, ~missed[fresh.later], layer_of, sight.layer)
+    come = own.younger(fresh.telling, fresh.covered, layer_of, sight.layer)
     return tuple(
-        Evidence(scope, **{name: int(counts[n]) for name, counts in figures.items()}, fresh=younger[n])
+        Evidence(scope, **{name: int(counts[n]) for name, counts in figures.items()}, fresh=seen[n], come=come[n])
         for n, scope in enumerate(scopes)
     )
 
