@@ -200,18 +200,16 @@ def _lost(scene: _Scene, stray: np.ndarray) -> tuple[np.ndarray, int]:
 
 def _sunk(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
     """Contour of what stands that has come inwards, as the picture bears out, and what that has laid bare."""
-    bared, nothing = scene.standing & ~scene.observed, np.zeros_like(scene.standing)
-    if np.count_nonzero(bared) < LEAST_SUNK:
-        return nothing, nothing
+    bared = without_specks(scene.standing > scene.observed, LEAST_SUNK)
+    if not bared.any():
+        return bared, bared
     memory, window = scene.memory, scene.window
     sunk = memory.contours.sunk(
         window, scene.wanted, scene.look, scene.observed, scene.known, lambda: memory.unlike_bare(window, scene.look)
     )
-    if not sunk.any():
-        return nothing, nothing
     bared &= cv2.dilate(sunk.view(np.uint8), disc(BARED_PX)) > 0
     if 2 * np.count_nonzero(memory.looks_otherwise(window, scene.look, bared)) < np.count_nonzero(bared):
-        return nothing, nothing
+        return np.zeros_like(sunk), np.zeros_like(sunk)
     return sunk, bared
 
 
