@@ -152,6 +152,21 @@ def test_dark_matter_that_shines_brighter_than_the_bed_at_one_layer_has_not_gone
     assert lost_px(0) > 1000  # bare bed, and so gone
 
 
+@pytest.mark.parametrize("board", [True, False])
+def test_a_board_of_the_beds_shade_before_a_print_hides_it_since_it_lacks_the_beds_detail(board):
+    """Stripes 14 grey levels brighter, five pixels wide, are drawn on the bed."""
+    stage = Stage()
+    stage.bed[:, np.arange(SHAPE[1]) % 12 < 5] = np.array(BED_BGR) + 14
+    stage.memory = Memory(stage.bed, SHAPE)
+    stage.printed(12)
+    sight = stage.sight(13, wall(1, 13))
+    if board:
+        sight.frame_bgr[:, 80:160] = np.array(BED_BGR) + 5
+    found = find(sight, stage.memory)
+    assert found.scopes[1].lost_px == (0 if board else found.scopes[1].standing_px)
+    assert (found.hidden_px >= found.scopes[1].standing_px) == board
+
+
 @pytest.mark.parametrize(("shade", "gone"), [(0, False), (-30, True)])
 def test_matter_in_shade_that_looks_as_the_bed_did_has_not_gone_while_the_bed_lies_in_less_light(shade, gone):
     stage = Stage().printed(12)

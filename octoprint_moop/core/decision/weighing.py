@@ -193,8 +193,11 @@ def _lost(scene: _Scene, stray: np.ndarray) -> tuple[np.ndarray, int]:
     lost = without_hollows(without_specks(memory.looks_bare(window, look, lost)), scene.wanted_u8, lying)
     if lost.any():
         lost &= ~memory.looks_unlike_bed(window, look, lost, scene.bed)
-    if np.count_nonzero(lost) >= HIDING_PX and memory.shines(window, look, lost, scene.bed):
+    lost_px = int(np.count_nonzero(lost))
+    if lost_px >= HIDING_PX and memory.shines(window, look, lost, scene.bed):
         lost = np.zeros_like(lost)
+    elif lost_px >= HIDING_PX and memory.lacks_grain(window, look, lost):
+        return np.zeros_like(lost), max(hidden_px, lost_px)
     return lost, hidden_px
 
 
@@ -221,7 +224,8 @@ def _untold(scene: _Scene, lost: np.ndarray, stray: np.ndarray) -> tuple[np.ndar
     if untold_px <= UNTOLD_RATIO * np.count_nonzero(scene.standing):
         return lost, 0
     lies_beside = np.count_nonzero(stray) > STRAY_RATIO * untold_px
-    if lies_beside or (memory.all_bare(window, look, gone, bed) and not memory.shines(window, look, gone, bed)):
+    bare = memory.all_bare(window, look, gone, bed) and not memory.shines(window, look, gone, bed)
+    if lies_beside or (bare and not memory.lacks_grain(window, look, gone)):
         return lost | without_specks(gone), 0
     return lost, untold_px
 
