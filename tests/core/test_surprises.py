@@ -103,6 +103,7 @@ def test_fourteen_pixels_of_contour_that_has_come_inwards_are_tolerated_and_more
     assert size("all", track, sunk_px=14) == pytest.approx(1)
     assert size("all", Track(), sunk_px=14) == 0  # too few to know what is usual
     assert size("all", replace(track, dim=(0.125,) * 4), sunk_px=14) == pytest.approx(0.5)
+    assert size("all", replace(track, unlike=(0.1,) * 4), sunk_px=14) == pytest.approx(0.5)
     assert size("all", pardon_kept(track), "low", sunk_px=14) == pytest.approx(1 / 3)
     usual = track_of(sunk=(6.0, 6.0, 8.0, 4.0))
     assert size("all", usual, sunk_px=14) == pytest.approx((8 - 4 * 1.4826) / 14)
@@ -298,15 +299,26 @@ def test_less_covered_than_usual_surprises_in_parts_of_a_fifth_or_of_five_spread
     assert size("fresh", coming(*(0.7,) * 4), come=covering(0.9)) == 0
 
 
-def test_one_window_alone_or_one_without_a_past_or_with_few_pixels_does_not_tell_that_less_is_covered():
+def test_what_two_windows_do_not_agree_on_or_has_no_past_or_few_pixels_does_not_tell_that_less_is_covered():
     steady = coming(*(0.7,) * 4)
-    alone = ((0, 0), (1000, 0), (1000, 700), (1000, 700))
-    assert size("fresh", steady, come=alone) == 0
+    assert size("fresh", steady, come=((0, 0), (1000, 0), (1000, 700), (1000, 700))) == 0
     assert size("fresh", steady, come=((0, 0), (1000, 0), (1000, 350), (1000, 700))) == pytest.approx(
         0.35 / (0.2 + FEW)
     )
     assert size("fresh", coming(*(0.7,) * 3), come=covering(0.1)) == 0
     assert size("fresh", steady, come=((39, 0),) * 4) == 0
+
+
+def test_where_only_one_window_tells_it_is_believed():
+    alone = ((9, 9), (19, 19), (1000, 100), (1000, 100))
+    assert size("fresh", coming(*(0.7,) * 4), come=alone) == pytest.approx(0.6 / (0.2 + FEW))
+
+
+@pytest.mark.parametrize(("older_share", "fall"), [(0.7, 0.6), (0.9, 0.6), (0.5, 0.4), (0.1, 0.0)])
+def test_by_as_much_as_older_layers_have_fallen_it_is_light(older_share, fall):
+    """Four layers cover 1,000 pixels, four older ones 1,000 more; of both 0.7 were covered so far."""
+    come = ((1000, 100), (1000, 100), (1000, 100), (2000, 100 + round(1000 * older_share)))
+    assert size("fresh", coming(*(0.7,) * 4), come=come) == pytest.approx(fall / (0.2 + FEW), abs=1e-6)
 
 
 def test_where_coverage_tells_masks_are_not_asked():
@@ -319,7 +331,7 @@ def test_where_coverage_tells_masks_are_not_asked():
 @pytest.mark.parametrize(("limits", "borne_out"), [(0.0, 0.0), (0.25, 0.5), (0.5, 1.0), (3.0, 1.0)])
 def test_what_looks_bare_counts_as_far_as_coverage_bears_it_out(limits, borne_out):
     steady, share = coming(*(0.7,) * 4), 0.7 - limits * (0.2 + FEW)
-    come = ((1000, 700), (1000, 700), (1000, 700), (1000, round(1000 * share)))
+    come = ((1000, 700), (1000, 700), (1000, round(1000 * share)), (1000, round(1000 * share)))
     assert size("all", steady, unseen_px=160, come=come) == pytest.approx(2 * borne_out, abs=0.01)
     assert size("fresh", steady, barren_px=160, come=come) == pytest.approx(2 * borne_out, abs=0.01)
     learned = learn(steady, replace(PLAIN, unseen_px=160, barren_px=160, come=come))

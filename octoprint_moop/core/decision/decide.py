@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from statistics import median
 
-from .counts import WINDOWS, Evidence
+from .counts import WINDOWS, Evidence, Windows
 
 OK, SUSPECT, FAILED, UNUSABLE, CAMERA_MOVED = "ok", "suspect", "failed", "unusable", "camera_moved"
 
@@ -27,6 +27,7 @@ CONFIRMED = 2.0  # the same, where a second frame of the same state has shown it
 MATTER_LIMIT_RATIO = 0.004  # lost or stray matter, in parts of the complete silhouette, at medium sensitivity
 MATTER_LIMIT_PX = 30
 DIM_WIDENS = 8.0  # by how much all limits grow with the share of standing matter that is usually not seen
+UNLIKE_WIDENS = 10.0  # by how much that for contours grows with the E that is usual, once the misfit is taken out
 SUNK_LIMIT_PX = 14  # of contour that has come inwards
 RIM_LIMIT = 0.1  # the same along expected edges, in parts of their length
 FRESH_LEAST_PX = 40
@@ -113,7 +114,9 @@ def surprises(track: Track, evidence: Evidence, sensitivity: str) -> tuple[Surpr
     stray = (evidence.stray_px / total - _usual(track.stray)) / limit
     # a pixel's width of light along the edges comes and goes; a shift shows along a good part of them
     faint = _above(track.rim, evidence.rim_px / total) / max(limit, wide * RIM_LIMIT * evidence.edge_px / total)
-    faint += _above(track.sunk, evidence.sunk_px) / (_widened(track, sensitivity) * SUNK_LIMIT_PX)
+    # the contours of what is badly seen wander
+    wandering = 1 + UNLIKE_WIDENS * _usual(track.unlike)
+    faint += _above(track.sunk, evidence.sunk_px) / (_widened(track, sensitivity) * wandering * SUNK_LIMIT_PX)
     fresh = 0.0
     if not track.quiet:
         borne_out = _borne_out(track, evidence, wide)
@@ -140,31 +143,44 @@ def _barren(track: Track, evidence: Evidence, limit: float, borne_out: float) ->
 def _borne_out(track: Track, evidence: Evidence, wide: float) -> float:
     """How far what is covered bears out that fresh matter is missing, 0 to 1: single pixels of it may look like the bed in
     the shade of what grows about them, or shine like it. 1 where nothing tells."""
-    return min(1.0, BORNE_OUT * max(_uncovered(track, evidence, wide, COVERED_PRIOR), default=1.0))
+    fallen = (fall / limit for fall, limit in _uncovered(track, evidence, wide, COVERED_PRIOR) if limit)
+    return min(1.0, BORNE_OUT * max(fallen, default=1.0))
 
 
 def _not_come(track: Track, evidence: Evidence, wide: float) -> float:
-    """The surprise that fresh matter has not come: that less is covered, as two windows agree, else that less is seen."""
-    uncovered = _uncovered(track, evidence, wide)
-    return max([min(pair) for pair in zip(uncovered, uncovered[1:])] or _fresh(track, evidence, wide))
+    """The surprise that fresh matter has not come: that less of it is covered, as two windows agree where two can tell, else
+    that less is seen.
+
+    By as much as older layers have fallen it is light, or the camera: what has come stays.
+    """
+    *newer, (older_fall, _) = _uncovered(track, evidence, wide)
+    sizes = [max(fall - older_fall, 0.0) / limit for fall, limit in newer if limit]
+    return max([min(pair) for pair in zip(sizes, sizes[1:])] or sizes or _fresh(track, evidence, wide))
 
 
-def _uncovered(track: Track, evidence: Evidence, wide: float, prior: float | None = None) -> list[float]:
-    """The surprise that less is covered of what the last layers should have covered, for each window that can tell.
+def _uncovered(track: Track, evidence: Evidence, wide: float, prior: float | None = None) -> list[tuple[float, float]]:
+    """By how much less is covered than usual of what the newest layers should have covered, and of what older ones should
+    (see `_told`), each with its limit, 0 where nothing tells.
 
-    prior : the share that is usual before enough checks have told; None where a window is left out until then
+    prior : the share that is usual before enough checks have told; None where nothing is until then
     """
     found = []
-    for past, (told_px, covered_px) in zip(track.come, evidence.come):
-        if len(past) >= FRESH_CHECKS:
-            usual, limit = _usual(past), max(UNCOVERED_LIMIT, 5 * _spread(past))
-        elif prior is not None:
-            usual, limit = prior, UNCOVERED_LIMIT
-        else:
+    for past, (told_px, covered_px) in zip(track.come, _told(evidence)):
+        known = len(past) >= FRESH_CHECKS
+        usual = _usual(past) if known else prior
+        if told_px < FRESH_LEAST_PX or usual is None:
+            found.append((0.0, 0.0))
             continue
-        if told_px >= FRESH_LEAST_PX:
-            found.append(_fallen(usual, covered_px / told_px, told_px, limit, wide))
+        limit = max(UNCOVERED_LIMIT, 5 * _spread(past)) if known else UNCOVERED_LIMIT
+        found.append((max(usual - covered_px / told_px, 0.0), _limit_of_share(limit, told_px, wide)))
     return found
+
+
+def _told(evidence: Evidence) -> Windows:
+    """Pixels that can tell how far they are covered, and how many covered ones that is worth: of the last layers, for each
+    of WINDOWS but the last, and of those that only the last has."""
+    *newer, (within_px, within_covered_px), (all_px, covered_px) = evidence.come
+    return (*newer, (within_px, within_covered_px), (all_px - within_px, covered_px - within_covered_px))
 
 
 def _above(past: tuple[float, ...], value: float) -> float:
@@ -182,14 +198,14 @@ def _fresh(track: Track, evidence: Evidence, wide: float) -> list[float]:
             continue
         usual = _usual(past)
         limit = max(min(FRESH_LIMIT, 0.6 * usual), 5 * _spread(past))
-        found.append(_fallen(usual, seen_px / new_px, new_px, limit, wide))
+        found.append(max(usual - seen_px / new_px, 0.0) / _limit_of_share(limit, new_px, wide))
     return found
 
 
-def _fallen(usual: float, share: float, pixels: int, limit: float, wide: float) -> float:
-    """How many limits a share of so many pixels lies below what is usual."""
-    # few pixels lie about in few places: their share is as uncertain as that of a tenth as many coins
-    return max(usual - share, 0.0) / (limit * min(wide, 1.3) + 0.25 / (pixels / 10) ** 0.5)
+def _limit_of_share(limit: float, pixels: int, wide: float) -> float:
+    """By how much a share of so many pixels may be less than usual: few pixels lie about in few places, so their share is as
+    uncertain as that of a tenth as many coins."""
+    return limit * min(wide, 1.3) + 0.25 / (pixels / 10) ** 0.5
 
 
 def judge(track: Track, evidence: Evidence, sensitivity: str, decisive: float = DECISIVE) -> tuple[Outcome, Track]:
@@ -274,7 +290,7 @@ def learn(track: Track, evidence: Evidence) -> Track:
         ),
         come=tuple(
             _with(past, covered_px / told_px) if told_px >= FRESH_LEAST_PX else past
-            for past, (told_px, covered_px) in zip(track.come, evidence.come)
+            for past, (told_px, covered_px) in zip(track.come, _told(evidence))
         ),
     )
 
