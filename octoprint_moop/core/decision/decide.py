@@ -142,7 +142,9 @@ def _barren(track: Track, evidence: Evidence, limit: float, borne_out: float) ->
 
 def _borne_out(track: Track, evidence: Evidence, wide: float) -> float:
     """How far what is covered bears out that fresh matter is missing, 0 to 1: single pixels of it may look like the bed in
-    the shade of what grows about them, or shine like it. 1 where nothing tells."""
+    the shade of what grows about them, or shine like it. 1 where nothing tells, or nothing looks bare."""
+    if not (evidence.unseen_px or evidence.barren_px):
+        return 1.0
     fallen = (fall / limit for fall, limit in _uncovered(track, evidence, wide, COVERED_PRIOR) if limit)
     return min(1.0, BORNE_OUT * max(fallen, default=1.0))
 
