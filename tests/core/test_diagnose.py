@@ -13,7 +13,7 @@ from octoprint_moop.core.decision.decide import FAILED, Outcome, Surprise
 from octoprint_moop.core.decision.diagnose import Naming
 from octoprint_moop.core.decision.evidence import find
 
-from .stage import GROUND, LAYER_PX, PX_PER_MM, SHAPE, Stage, moved, wall, walls
+from .stage import BED_BGR, GROUND, LAYER_PX, PLASTIC_BGR, PX_PER_MM, SHAPE, Stage, moved, wall, walls
 
 
 class FlatPlace:
@@ -219,3 +219,16 @@ def test_a_print_that_lies_askew_amid_strands_has_come_off_since_no_corner_that_
     for row in range(GROUND - 50, GROUND + 30, 9):
         matter[row : row + 2, 60:88] = True
     assert named(21, matter, object_id=0).mode == "detachment"
+
+
+def test_layers_that_blur_alone_lets_appear_have_not_come_since_the_first_that_is_hardly_covered():
+    """Of the last two layers a fifth is seen everywhere, so that no pixel looks bare, and segmentation sees them all."""
+    stage = Stage().printed(20)
+    sight = stage.sight(22, walls(20), observed=walls(22))
+    new = walls(22) & ~walls(20)
+    sight.frame_bgr[new] = 0.8 * np.array(BED_BGR) + 0.2 * np.array(PLASTIC_BGR)
+    found = find(sight, stage.memory)
+    assert found.whole.unseen_px == 0
+    outcome = Outcome(0, FAILED, (Surprise("fresh", 3.0), Surprise("all", 0.0)), 3.0)
+    named = Naming(found, sight, FlatPlace(22)).name(outcome)
+    assert (named.mode, named.sentence) == ("extrusion_failure", "Too little new material since layer 22.")

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .counts import WHOLE
+from .counts import WHOLE, WINDOWS, Evidence
 from .decide import Outcome
 from .findings import Findings, Sight
 from .movements import EXPLAINED_RATIO, OLD_MOVED_RATIO, Lift, Move, Scope
@@ -28,6 +28,7 @@ LAYER_SHIFT, STRAY_MATERIAL, UNKNOWN = "layer_shift", "stray_material", "unknown
 GONE_RATIO = 0.25  # of the standing matter lost: more than a lifted corner lays bare
 HARDLY_RISEN_RATIO = 0.3  # of the difference; where no lift explains more, nothing has risen
 COUNTERPART_RATIO = 0.35  # how much smaller the one of two areas may be to count as its counterpart
+HARDLY_COVERED = 0.3  # of what some layers should have covered
 LEAST_MOVE_PX = 2.0
 PLAUSIBLE, MUCH_SHORTER = 0.2, 0.6  # of two movements that explain as much but for this, a much shorter one is taken
 
@@ -80,6 +81,9 @@ class Naming:
             return Diagnosis(
                 STRAY_MATERIAL, f"Material lies where none should be, about {_rounded(area_mm2)} mm² of it."
             )
+        if outcome.leading.kind == "fresh":  # a layer that no pixel shows to be missing, and all of them together
+            since = _uncovered_since(self._findings.scopes[outcome.object_id - WHOLE], self._sight.layer)
+            return Diagnosis(EXTRUSION_FAILURE, f"Too little new material since layer {since + 1}.")
         return Diagnosis(UNKNOWN, "The print no longer looks as it should.")
 
     def _laid_above(self, object_id: int) -> Callable[[int], np.ndarray]:
@@ -101,6 +105,14 @@ class Naming:
     @cached_property
     def _moved_away(self) -> Move | None:
         return self._everything.moved_away(self._place)
+
+
+def _uncovered_since(evidence: Evidence, layer: int) -> int:
+    """The first of the last layers of which hardly anything is covered; the last where none is so bare."""
+    bare = [
+        layers for layers, (told_px, covered_px) in zip(WINDOWS, evidence.come) if covered_px < HARDLY_COVERED * told_px
+    ]
+    return max(layer - max(bare, default=1) + 1, 0)
 
 
 def _plainer(lift: Lift, shift: Move) -> bool:
