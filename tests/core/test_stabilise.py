@@ -190,3 +190,24 @@ def test_a_camera_that_wobbles_all_print_long_fills_no_memory(camera):
         assert turn is not before
         kept_bytes.append(sum(kept.nbytes for kept in finder._aim._kept_pixels.values()))
     assert max(kept_bytes[8:]) <= max(kept_bytes[:8])
+
+
+def behind_a_head(scene: np.ndarray, x: int, y: int) -> np.ndarray:
+    """A plain dark head with its fan hangs before nearly half of the picture."""
+    frame = scene.copy()
+    cv2.rectangle(frame, (x - 190, 0), (x + 190, y), (26, 24, 24), -1)
+    cv2.circle(frame, (x, y - 150), 120, (40, 38, 38), -1)
+    return frame
+
+
+@pytest.mark.parametrize(("way", "at"), [((1.0, 0.3, 0.0), 300), ((-0.5, 0.9, 0.3), 260), ((0.1, 1.0, 0.4), 260)])
+def test_a_knock_is_found_though_a_dark_head_hides_half_of_what_tells(camera, way, at):
+    rng = np.random.default_rng(21)
+    scene = cv2.addWeighted(room(rng), 0.3, np.full((SIZE[1], SIZE[0], 3), 60, np.uint8), 1.0, 0)
+    watcher = stabiliser(camera, noisy(scene, rng))
+    for x in (330, 210, 400):
+        assert watcher.turn(Glance(noisy(behind_a_head(scene, x, 330), rng)), (0, 0, 0)) is STILL
+    rvec = np.array(way) * 30 / camera.K[0, 0]
+    found = watcher.turn(Glance(noisy(seen_by_turned(behind_a_head(scene, at, 330), camera, rvec), rng)), (0, 0, 0))
+    assert watcher.sure
+    assert np.abs(found.rvec - rvec).max() * camera.K[0, 0] < 1.0
