@@ -204,3 +204,57 @@ def test_a_head_that_stands_before_the_print_again_and_again_is_not_learned_as_f
     frame[top : top + 26, 60:110] = black
     seen = segmenter.observe(frame, expected(13)).mask
     assert not seen[top + 4 : top + 22, 64:106].any() and seen[top + 30 : BED_ROW - 4, 64:106].all()
+
+
+RED = (40, 40, 200)
+BLACK, STEEL = (18, 18, 20), (125, 125, 128)
+
+
+def behind_a_head(layer: int, left: int, filament=RED, head=(BLACK, STEEL)) -> tuple[np.ndarray, Expected, np.ndarray]:
+    """A picture in which a head of two colours stands over all but a quarter of the print, what must be seen there, and
+    where the head is. It may be anywhere in the picture."""
+    stands = np.zeros(BIRTH.shape, np.uint8)
+    stands[20 : BED_ROW - 2, left : left + 60] = 255
+    frame = printed(expected(layer).mask, filament, layer)
+    rng = np.random.default_rng(layer)
+    for rows, colour in zip((slice(0, 75), slice(75, None)), head):
+        part = np.zeros_like(stands, bool)
+        part[rows] = stands[rows] > 0
+        frame[part] = np.clip(np.array(colour) + rng.normal(0, 4, (int(part.sum()), 3)), 0, 255)
+    return frame, Expected(BIRTH, layer, volume=np.full(BIRTH.shape, 255, np.uint8)), stands
+
+
+@pytest.mark.parametrize("reference", [bed(), None])
+def test_a_print_that_is_seen_within_a_heads_reach_alone_is_told_from_the_head(reference):
+    """From the first look on: what the head shows beside the print are its colours, and none of the filament's."""
+    segmenter = AdaptiveSegmenter(None, reference)
+    for layer, left in zip(range(8, 16), (20, 90, 24, 86, 30, 82, 20, 90)):
+        frame, told, stands = behind_a_head(layer, left)
+        seen = segmenter.observe(frame, told)
+        matter = (told.mask > 0) & (stands == 0)
+        assert (seen.mask[matter] > 0).mean() > 0.9
+        assert (seen.mask[(told.mask > 0) & (stands > 0)] > 0).mean() < 0.1
+        segmenter.learn(frame, told, seen)
+
+
+def test_a_head_that_fills_the_prints_place_is_not_taken_for_it_once_the_print_was_seen():
+    """Before anything was learned: of two looks that offer other colours neither is believed yet."""
+    segmenter = AdaptiveSegmenter(None, bed())
+    frame, told, _ = behind_a_head(8, 90)
+    segmenter.observe(frame, told)
+    frame[40:BED_ROW, 45:125] = np.clip(
+        np.array((170, 170, 172)) + np.random.default_rng(1).normal(0, 4, (70, 80, 3)), 0, 255
+    )
+    seen = segmenter.observe(frame, told)
+    assert (seen.mask[told.mask > 0] > 0).mean() < 0.1
+
+
+def test_filament_of_the_heads_own_colour_is_not_claimed_within_its_reach():
+    """A black print, and a black head before it: which of them is seen cannot be told."""
+    segmenter = AdaptiveSegmenter(None, bed())
+    for layer, left in zip(range(8, 14), (20, 90, 24, 86, 30, 82)):
+        frame, told, stands = behind_a_head(layer, left, BLACK, (BLACK, BLACK))
+        seen = segmenter.observe(frame, told)
+        hidden = (told.mask > 0) & (stands > 0)
+        assert ((seen.mask > 0) & (seen.unsure == 0))[hidden].mean() < 0.1
+        segmenter.learn(frame, told, seen)

@@ -7,18 +7,17 @@ import numpy as np
 
 from ..expected.views import Expected, box_about
 from .appearance import ColourModel, Plate, count_colours, count_kinds, every_colour, opponent
+from .reach import BESIDE_PX, HeadColours, Reach, beyond_reach, remember
 from .segment import HsvThresholds, Observation, segment_hsv
 from .weigh import Look, weigh
 
 _BAND_PX = 2000.0  # how many pixels the user's thresholds count for: soon outweighed by what is really seen
-_MEMORY_PX = 200_000.0  # counts are scaled down beyond this, so that the colours follow the light of the day
 _TELLING = 0.2  # thresholds that more of the bed's pixels than this keep to do not tell filament from it
 _CHANGED = 24.0  # distance in opponent colours beyond which a pixel is not the empty bed any more
 _FRINGE = 10.0
 _SQUARES = np.minimum(np.arange(256) ** 2, 20_000).astype(np.uint16)  # three of them fit into 16 bits
 _ALIKE = 0.4  # of where material lies, that the bed seems to show through though all is well: they look alike
-_BEYOND_PX = 200  # beside where a head may be; fewer pixels tell less of a filament's colours than all do
-_INSIDE_PX, _OUTSIDE_PX = 3, 8  # learned from only this far within what lies, and beyond what ever will
+_INSIDE_PX = 3  # learned from only this far within what lies, and BESIDE_PX beyond what ever will
 
 
 class AdaptiveSegmenter:
@@ -53,6 +52,7 @@ class AdaptiveSegmenter:
                 self._filament = self._thresholds
         self._plate = None if colours is None else Plate(colours, np.full(colours.shape[:2], -1, np.int8))
         self._model: ColourModel | None = None
+        self._head = HeadColours()
         self._separability = 1.0
         self._bedlike_ratio = 0.0
 
@@ -71,10 +71,21 @@ class AdaptiveSegmenter:
         plate = None if plate is None else plate.part(region)
         model = self._colours(frame_bgr, expected)
         self._separability = model.separability
-        seen = weigh(crop, model, Look.without_label(plate, crop.shape[:2], model), mask)
+        look = Look.without_label(plate, crop.shape[:2], model)
+        seen = weigh(crop, model, look, mask, reach=self._reach(frame_bgr, expected, region, model))
         if self._bedlike_ratio > _ALIKE and plate is not None and mask is not None:
             seen = self._unsure_of_the_bed(seen, plate, opponent(crop), mask)
         return seen.within(frame_bgr.shape[:2], region)
+
+    def _reach(
+        self, frame_bgr: np.ndarray, expected: Expected | None, region: tuple[int, int, int, int], model: ColourModel
+    ) -> Reach | None:
+        """Where a head may stand in the region; None where none may."""
+        if expected is None or expected.volume is None:
+            return None
+        x0, y0, x1, y1 = region
+        reach = self._head.reach(frame_bgr, expected, model)
+        return None if reach is None else Reach(np.ascontiguousarray(reach.where[y0:y1, x0:x1]), reach.model)
 
     def _unsure_of_the_bed(
         self, seen: Observation, plate: Plate, colours: np.ndarray, expected: np.ndarray
@@ -90,12 +101,14 @@ class AdaptiveSegmenter:
     def learn(self, frame_bgr: np.ndarray, expected: Expected, observed: Observation) -> None:
         """Take this frame's look as that of filament and background. Only after a check in which all was well."""
         colours = opponent(frame_bgr)
-        outside = cv2.bitwise_not(_grown(expected.complete, _OUTSIDE_PX))
+        outside = cv2.bitwise_not(_grown(expected.complete, BESIDE_PX))
         background = outside & cv2.bitwise_not(observed.mask | observed.unsure)
+        if expected.volume is not None:
+            self._head.learn(colours, expected)
         few = box_about(expected.mask, 2 * _INSIDE_PX + 2)  # no filament is learned beyond
         mask, seen, sure = expected.mask[few], observed.mask[few], cv2.bitwise_not(observed.unsure[few])
         inside = _well_inside(mask, _INSIDE_PX)
-        filament = _beyond_head(inside & seen & sure, expected, few)
+        filament = self._head.without(inside & seen & sure, colours, expected, few)
         plate = self._plate_like(background)
         if plate is not None:
             changed = self._not_the_bed(Plate(plate.colours[few], plate.known[few]), colours[few])
@@ -109,14 +122,14 @@ class AdaptiveSegmenter:
         beside = _grown(filament, 2 * _INSIDE_PX + 1) & cv2.bitwise_not(outside[few] | mask)
         lies, fringe = count_kinds(colours[few], (filament | edge) > 0, beside > 0)
         x0, y0, x1, y1 = _region(expected, background.shape)
-        rest = count_colours(colours[y0:y1, x0:x1], background[y0:y1, x0:x1] > 0)
+        rest = count_colours(colours[y0:y1, x0:x1], beyond_reach(background, expected)[y0:y1, x0:x1] > 0)
         if filament.any():
             known = np.zeros_like(self._background) if self._filament is None else self._filament
-            self._filament = _remember(known, lies)
+            self._filament = remember(known, lies)
         # the few pixels beside the print count up to tenfold: that is where the two must be told apart. More would give
         # every mixed pixel to the background and the print would be seen too thin
         fringe *= min(max(float(rest.sum() / max(fringe.sum(), 1.0)), 1.0), _FRINGE)
-        self._background = _remember(self._background, fringe + rest)
+        self._background = remember(self._background, fringe + rest)
         self._model = None
         if not self._bed_moves:
             if plate is None:
@@ -148,23 +161,14 @@ class AdaptiveSegmenter:
         colours, background = opponent(frame_bgr), self._background
         filament = self._filament
         if not background.any():
-            background = count_colours(colours, expected.complete == 0)
+            background = count_colours(colours, beyond_reach(expected.complete == 0, expected))
         if filament is None:
             lies = expected.mask > 0
             plate = self._plate_like(lies)
             if plate is not None:
                 lies &= self._not_the_bed(plate, colours)
-            filament = count_colours(colours, _beyond_head(lies, expected))
+            filament = self._head.first_seen(lies, colours, expected)
         return ColourModel(filament, background)
-
-
-def _beyond_head(lies: np.ndarray, expected: Expected, few: tuple = np.s_[:, :]) -> np.ndarray:
-    """Of where filament seems to lie what no head can stand before, if that is enough to learn from: it stands in the same
-    place of the print's picture again and again, and its colours would be learned as well."""
-    if expected.volume is None:
-        return lies
-    beyond = np.where(expected.volume[few] > 0, lies.dtype.type(0), lies)
-    return beyond if np.count_nonzero(beyond) >= _BEYOND_PX else lies
 
 
 def _well_inside(mask: np.ndarray, by_px: int) -> np.ndarray:
@@ -174,11 +178,6 @@ def _well_inside(mask: np.ndarray, by_px: int) -> np.ndarray:
 
 def _grown(mask: np.ndarray, by_px: int) -> np.ndarray:
     return cv2.dilate(mask, np.ones((2 * by_px + 1,) * 2, np.uint8))
-
-
-def _remember(known: np.ndarray, new: np.ndarray) -> np.ndarray:
-    counts = known + new
-    return counts * min(1.0, _MEMORY_PX / max(float(counts.sum()), 1.0))
 
 
 def _apart(colours: np.ndarray, others: np.ndarray, least: float) -> np.ndarray:

@@ -40,7 +40,7 @@ def opponent(frame_bgr: np.ndarray) -> np.ndarray:
     return cv2.transform(frame_bgr, _OPPONENT)
 
 
-def _cells(colours: np.ndarray) -> np.ndarray:
+def cells_of(colours: np.ndarray) -> np.ndarray:
     """(H, W) uint16: the histogram cell of each pixel of an opponent picture, five bits of each channel."""
     # what OpenCV calls 5-5-5 is just that, and by far the quickest way to it
     return cv2.cvtColor(colours, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
@@ -69,7 +69,7 @@ def count_colours(colours: np.ndarray, where: np.ndarray) -> np.ndarray:
 
 def count_kinds(colours: np.ndarray, *kinds: np.ndarray) -> list[np.ndarray]:
     """`count_colours` for each of several choices (bool)."""
-    cells = _cells(colours)
+    cells = cells_of(colours)
     return [np.bincount(cells[where], minlength=_CELLS).astype(np.float64) for where in kinds]
 
 
@@ -158,7 +158,7 @@ def evidence(colours: np.ndarray, model: ColourModel, plate: Plate | None = None
 
     change : 0..1, how much it counts that a pixel is not what it was: shade and mirror images change a bed as well
     """
-    cells = _cells(colours)
+    cells = cells_of(colours)
     ratio = np.take(model.ratios, cells, mode="clip")  # which they all are within, but numpy need not ask
     if plate is not None:
         share, least = np.float32(_STAY_SHARE), np.float32(change * math.log(1 - _STAY_SHARE))

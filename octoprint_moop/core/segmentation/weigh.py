@@ -16,12 +16,14 @@ import numpy as np
 
 from .appearance import EVIDENCE_MAX, ColourModel, Plate, count_colours, evidence, opponent
 from .explain import explain
+from .reach import Reach
 from .segment import Observation
 
 # Pixels in the region beyond which the work is done at a half, a third, … of the size
 WORK_PX, WORK_SHARP_PX = 80_000, 310_000
 
 _EXPECTED_WEIGHT = 3.0  # log-odds given to the believed story well inside and well outside of it
+_BEHIND_WEIGHT = 1.0  # inside, where a head may stand before it
 _EDGE_PX = 2  # the story's edge is this uncertain: the weight grows from 0 to full over it
 _WRONG_LOOK = -0.3  # support below which the learned colours are not what is seen in this frame
 _ALIKE, _APART = 0.7, 0.82  # separability: below, only neighbours together decide; above, each pixel by itself
@@ -113,10 +115,16 @@ def _odds_table() -> np.ndarray:
 _ODDS = _odds_table()
 
 
-def _expected_odds(mask: np.ndarray) -> np.ndarray:
-    """(H, W) float32: log-odds of filament where a mask is believed, growing from its edge inwards and outwards."""
+def _expected_odds(mask: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
+    """(H, W) float32: log-odds of filament where a mask is believed, growing from its edge inwards and outwards.
+
+    near : (H, W) bool, where a head may hide what is there; None for nowhere
+    """
     side = 2 * _EDGE_PX + 1
-    return cv2.LUT(cv2.addWeighted(mask, 0.5, cv2.blur(mask, (side, side)), 0.5, 0), _ODDS)
+    odds = cv2.LUT(cv2.addWeighted(mask, 0.5, cv2.blur(mask, (side, side)), 0.5, 0), _ODDS)
+    if near is not None:
+        odds[near] = np.minimum(odds[near], _BEHIND_WEIGHT)
+    return odds
 
 
 def _own_colours(colours: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
@@ -173,12 +181,14 @@ def weigh(
     look: Look,
     expected: np.ndarray | None = None,
     gain: np.ndarray | None = None,
+    reach: Reach | None = None,
 ) -> Observation:
     """The region's pixels that are filament, and those on which neither is said.
 
     frame_bgr : (H, W, 3) uint8, the region of a frame
     expected  : (H, W) uint8, what should be there, right or wrong
     gain      : (3,) by what to multiply the channels, so that the light is that of the plate
+    reach     : of the region: where a head may stand, so that what should be there may be hidden; None for nowhere
     """
     small = _at_work_size(frame_bgr, look.step)
     if gain is not None and np.abs(gain - 1).max() > _SAME_LIGHT:
@@ -187,6 +197,9 @@ def weigh(
     sharp = _sharpness(model)
     # an unchanged bed is the bed, whatever its colour; that it has changed says little where colour says so much
     seen = evidence(colours, model, look.plate, change=1 - sharp)
+    near = None if reach is None else _mask_at_work_size(reach.where, look.step) > 0
+    if reach is not None and near is not None:
+        seen = np.where(near, evidence(colours, reach.model, look.plate, change=1 - sharp), seen)
     if expected is None:
         odds = seen.copy() if look.place is None else seen + look.place
         if look.plate is not None and (look.plate.known > 0).any():
@@ -195,24 +208,28 @@ def weigh(
             odds += np.where(label, rows, np.minimum(rows, 0))
     else:
         mask = _mask_at_work_size(expected, look.step)
-        story = explain(seen if look.underneath is None else seen + look.underneath, mask, colours)
+        told = seen if look.underneath is None else seen + look.underneath
+        # a print that is hidden has neither moved nor ended
+        story = explain(told if near is None else np.where(near, np.float32(0), told), mask, colours)
         if story.support < _WRONG_LOOK:
-            own, contrast = _own_colours(colours, mask)
+            own, contrast = _own_colours(colours, mask if near is None else mask * ~near)
             # what looks like everything around it is not there
             trust = float(np.interp(contrast, _CONTRAST, (0, 1)))
             mixed = (1 - 0.75 * trust) * seen + 1.5 * own
             # the bed that is seen unchanged stays the bed
             seen = mixed if look.plate is None else np.where(look.plate.known < 0, seen, mixed)
             story = explain(seen, mask, colours)
-            odds = seen + trust * _expected_odds(story.mask)
+            odds = seen + trust * _expected_odds(story.mask, near)
         else:
-            odds = cv2.add(seen, _expected_odds(story.mask))
+            odds = cv2.add(seen, _expected_odds(story.mask, near))
             if look.place is not None:
                 odds = odds + 0.3 * look.place
     if sharp < 1:
         odds = cv2.addWeighted(_along_edges(odds, colours[..., 0]), 1 - sharp, odds, sharp, 0)
     says = cv2.blur(seen, (3, 3))
-    unsure = float(np.interp(model.separability, *_UNSURE))
+    unsure: float | np.ndarray = float(np.interp(model.separability, *_UNSURE))
+    if reach is not None:
+        unsure = np.where(reach.where > 0, np.interp(reach.model.separability, *_UNSURE), unsure)
     if look.step > 1:
         size = frame_bgr.shape[1::-1]
         odds = cv2.resize(odds, size, interpolation=cv2.INTER_LINEAR)
