@@ -101,6 +101,13 @@ def test_what_was_seen_from_a_nozzle_that_stands_at_one_place_hangs_together_wit
     assert cv2.countNonZero(clearance.free(WINDOW, now, head)[1] & head) > 0.9 * cv2.countNonZero(head)
 
 
+def test_matter_that_hangs_together_with_nothing_beyond_the_head_is_believed_where_it_was_seen_often(camera):
+    everywhere, places = np.full_like(NOTHING, 255), [*PLACES, (5.0, 6.0, 10.9)]
+    for seen, free in ((3, False), (4, True)):
+        matter, _ = learned(camera, places[:seen]).free(WINDOW, (0.0, 0.0, 11.0), everywhere)
+        assert matter.any() == free
+
+
 @pytest.mark.parametrize(("beside_px", "counts"), [(0, True), (80, True), (400, False)])
 def test_matter_in_its_place_counts_unless_more_of_its_colour_is_seen_about_it(beside_px, counts):
     """Else it is the head that has the filament's colour."""

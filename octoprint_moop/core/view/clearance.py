@@ -21,6 +21,7 @@ from .window import Window
 
 KEPT = 12  # good checks; more would cost time and tell little
 AGREEING = 2  # of them must have shown matter at a place
+OFTEN = 4  # must have, where it hangs together with nothing that is free for certain
 ALIKE_COSINE = float(np.cos(np.radians(5)))  # from further about, the head's outline is another
 EDGE_PX = 3  # at 640 pixels across: outlines still differ by so much
 
@@ -81,9 +82,10 @@ class Clearance:
         edge = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         agreed = votes >= AGREEING
         agreed[..., 1] |= head == 0  # so that nothing is taken off where the head's reach ends
-        matter, either = np.moveaxis(cv2.erode(np.where(agreed, np.uint8(255), np.uint8(0)), edge), 2, 0)
+        agreed = np.dstack([agreed, votes[..., :1] >= OFTEN])
+        matter, either, often = np.moveaxis(cv2.erode(np.where(agreed, np.uint8(255), np.uint8(0)), edge), 2, 0)
         either = _without_islands(either, head)
-        return cv2.bitwise_and(matter, either), either
+        return matter & either | often, either
 
     def _pose(self, window: Window, position_mm: Sequence[float]) -> _Pose | None:
         """None where the nozzle is not before the camera."""
