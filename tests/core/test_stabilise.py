@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from octoprint_moop.core.camera import BedMotion, Camera
+from octoprint_moop.core.view import stabilise
+from octoprint_moop.core.view.belief import AT_ONCE
 from octoprint_moop.core.view.glance import Glance
 from octoprint_moop.core.view.stabilise import Stabiliser
 from octoprint_moop.core.view.turns import STILL
@@ -211,3 +215,20 @@ def test_a_knock_is_found_though_a_dark_head_hides_half_of_what_tells(camera, wa
     found = watcher.turn(Glance(noisy(seen_by_turned(behind_a_head(scene, at, 330), camera, rvec), rng)), (0, 0, 0))
     assert watcher.sure
     assert np.abs(found.rvec - rvec).max() * camera.K[0, 0] < 1.0
+
+
+def test_a_knock_of_which_each_frame_leaves_some_doubt_is_believed_once_two_tell_the_same(camera, monkeypatch):
+    rng = np.random.default_rng(25)
+    scene = room(rng)
+    monkeypatch.setattr(stabilise, "AT_ONCE", replace(AT_ONCE, total_sigma=np.inf))  # so that each leaves some
+    watcher = stabiliser(camera, noisy(scene, rng))
+    watcher.turn(Glance(noisy(scene, rng)), (0, 0, 0))
+    knocked, again = (np.array(way) * 20 / camera.K[0, 0] for way in ([0.6, -0.7, 0.1], [-0.3, 0.9, 0.2]))
+    for rvec in (knocked, again):
+        assert watcher.turn(Glance(noisy(seen_by_turned(scene, camera, rvec), rng)), (0, 0, 0)) is STILL
+        assert not watcher.sure
+        assert not watcher.twice
+    found = watcher.turn(Glance(noisy(seen_by_turned(scene, camera, again), rng)), (0, 0, 0))
+    assert watcher.sure
+    assert watcher.twice
+    assert np.abs(found.rvec - again).max() * camera.K[0, 0] < 1.0

@@ -72,6 +72,8 @@ class Stabiliser:
         """Whether the last frame told where the camera stands."""
         self.lost = False
         """Whether nearly nothing is where it was, in a view that was known before, and where it went cannot be told."""
+        self.twice = False
+        """Whether the turn that the last frame told is that of the one before too, of which that left some doubt."""
         self._known = False
 
     def _level(
@@ -122,7 +124,7 @@ class Stabiliser:
         position_mm : where the machine stands; last : the turn that the camera had last
         `last` itself where the camera has not moved since, or where the picture does not tell; see `sure` and `lost`.
         """
-        self.lost = False
+        self.lost = self.twice = False
         shift_mm = self._bed.room_from_print_mm(position_mm)
         if not np.array_equal(shift_mm, self._aim.shift_mm):
             self._aim = Aim(self._camera, self._levels, shift_mm)
@@ -160,7 +162,8 @@ class Stabiliser:
         if not gain.meets(TWICE, *told):
             return False
         self._suspected = rvec
-        return before is not None and self.turns.apart_px(rvec, before) < SAME_PX * self._px
+        self.twice = before is not None and self.turns.apart_px(rvec, before) < SAME_PX * self._px
+        return self.twice
 
     def _stands(self, pyramid: Pyramid, fit: Fit, last: CameraTurn) -> bool:
         """Whether the picture fits where it last did, and as well, or cannot tell: the usual case, and the cheap one."""

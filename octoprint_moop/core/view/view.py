@@ -368,7 +368,7 @@ class View:
     def _notice(self, turn: CameraTurn, stabiliser: Stabiliser) -> str:
         """The sentence where the camera has moved far and not yet stood still at its new place; else "".
 
-        A turn that two frames agree on is where the camera stands from now on: its view is found again.
+        A turn that two frames agree on, be it with some doubt, is where the camera stands from now on: its view is found again.
         """
         finer = self._camera.image_size_px[0] / 640
         if stabiliser.turns.apart_px(turn.rvec, self._turn.rvec) < MOVED_PX * finer:
@@ -378,6 +378,8 @@ class View:
             self._turn = turn
             return ""
         self._pending = turn
+        if stabiliser.twice:
+            self._turn = turn
         return moved_sentence(turn.motion_px)
 
 
