@@ -37,7 +37,7 @@ class Demands:
     rival_sigma: float
 
 
-AT_ONCE = Demands(4.0, 7, 5, 6, 0.55, 2.0)
+AT_ONCE = Demands(4.0, 6, 5, 6, 0.55, 2.0)
 TWICE = Demands(3.0, 4, 4, 4, 0.7, 0.5)  # of two frames that tell the same turn
 
 

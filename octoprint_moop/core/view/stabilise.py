@@ -38,7 +38,7 @@ LEAST_NOISE, LEAST_APART_RATIO = 0.5, 0.04
 WELL, LESS_WELL, BADLY = 1.3, 1.5, 3.3  # mean loss: as expected; times the usual; never that of a camera that stands
 FITS, LOST_RATIO = 2.5, 0.25  # mean loss of a region; of the regions, so few fit if the camera is nowhere near
 NEW_VIEW_SIGMA = 8.0  # of the whole picture's gain: so much tells even there
-SAME_PX = 1.0  # at 640 pixels across
+SAME_PX, SAME_RATIO = 1.0, 0.05  # at 640 pixels across, and against the turn
 LEARN_AT_FIRST, LEARN_EVERY = 6, 8  # frames
 
 
@@ -162,7 +162,8 @@ class Stabiliser:
         if not gain.meets(TWICE, *told):
             return False
         self._suspected = rvec
-        self.twice = before is not None and self.turns.apart_px(rvec, before) < SAME_PX * self._px
+        same_px = max(SAME_PX, SAME_RATIO * told[0])
+        self.twice = before is not None and self.turns.apart_px(rvec, before) < same_px * self._px
         return self.twice
 
     def _stands(self, pyramid: Pyramid, fit: Fit, last: CameraTurn) -> bool:
