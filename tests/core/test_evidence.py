@@ -88,6 +88,16 @@ def test_on_a_bed_too_plain_to_tell_two_walls_that_moved_alike_are_the_camera():
 
 
 @pytest.mark.parametrize("sure", [True, False])
+def test_where_the_camera_is_known_to_stand_not_even_two_pixels_are_its_doing(sure):
+    stage = Stage()
+    stage._birth[:, 160:] = 0  # the other wall is never to be
+    for layer in range(13):
+        stage.good(layer, wall(0, layer))
+    found = find(replace(stage.sight(13, moved(wall(0, 13), 2, 0)), sure=sure), stage.memory)
+    assert found.moved_px == pytest.approx(0 if sure else 2, abs=0.3)
+
+
+@pytest.mark.parametrize("sure", [True, False])
 def test_on_such_a_bed_a_single_wall_that_moved_is_the_camera_only_where_nothing_tells_where_that_stands(sure):
     stage = Stage()
     stage._birth[:, 160:] = 0  # the other wall is never to be

@@ -33,7 +33,7 @@ from .weighing import AROUND_PX, weigh
 # what calibration and segmentation may be off without a word; JPEG alone blurs colours by as much, however small the picture
 TOLERANCE_PX = 2.0  # at up to 640 pixels across
 MOVED_LEAST_PX = 25  # less matter out of place than this needs no explanation
-MOVED_REACH_PX, UNSURE_PX, BED_BEGINS_PX = 32.0, 2.5, 12.0  # at up to 640 pixels across
+MOVED_REACH_PX, BED_BEGINS_PX = 32.0, 12.0  # at up to 640 pixels across
 MOVED_LEFT, PIECE_PX = 0.25, 60
 
 
@@ -60,8 +60,8 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
     """What differs once the whole picture is taken to have moved; None where that is not what has happened.
 
     A print that slid on the bed leaves the bed where it was. Where the bed is too plain to tell, several pieces do not
-    slide alike; and one that moved by hardly more than the tolerance, or in a view of which nothing tells where the camera
-    stands, is given the benefit of the doubt: what is laid next shows whether it was the print.
+    slide alike; and one that moved in a view of which nothing tells where the camera stands is given the benefit of the
+    doubt: what is laid next shows whether it was the print.
     """
     window, before = findings.window, memory.misfit.alignment
     finer = sight.finer
@@ -80,7 +80,7 @@ def _moved_camera(sight: Sight, memory: Memory, findings: Findings) -> Findings 
         off_print = cv2.dilate(sight.expected.complete[window], disc(BED_BEGINS_PX * finer)) == 0
         off_print = off_print & findings.known & explained.known
         bed_moved = memory.bed_moved(window, findings.look, explained.look, off_print)
-        unsure = moved_px < UNSURE_PX * finer or _pieces(findings.wanted) > 1 or not sight.sure
+        unsure = _pieces(findings.wanted) > 1 or not sight.sure
         if bed_moved or (bed_moved is None and unsure):
             memory.misfit.stand_in(found.alignment)
             return replace(explained, moved_px=moved_px)
