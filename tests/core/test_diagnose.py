@@ -172,6 +172,13 @@ def test_a_round_blob_as_large_as_a_part_is_stray_material():
     assert named(21, walls(21) | blob, object_id=0).mode == "stray_material"
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_what_sticks_out_like_a_part_that_slid_is_stray_material_where_the_part_is_seen_to_stand(stands):
+    left, slid = wall(0, 21), moved(wall(0, 21), -20, 4)
+    found = named(21, wall(1, 21) | slid | left if stands else wall(1, 21) | slid, object_id=0)
+    assert found.mode == ("stray_material" if stands else "detachment")
+
+
 def test_strands_beside_a_print_that_stands_are_stray_material():
     matter = walls(21)
     for row in range(GROUND - 60, GROUND - 10, 9):

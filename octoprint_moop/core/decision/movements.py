@@ -44,6 +44,7 @@ SLIGHT_RATIO, SLIGHT_REACH_PX, SLIGHT_LEAST_PX = (
 SLIGHT_OUT_RATIO, SLIGHT_OUT_LEAST_PX = 0.12, 15  # so much of it beside the print, and most of what would lie there
 AWAY_RATIO, AWAY_LEAST_PX = 0.88, 60  # the same for a part that came off
 OUT_RATIO = 0.15  # of that part at least so much sticks out
+STILL_RATIO, HALF_RATIO, GONE_RATIO = 0.9, 0.6, 0.02
 AWAY_APART_PX, SKIRT_PX = 1.5, 3.0  # contours' mean distance; what is thinner lies flat, and other things upon it
 AWAY_TURNS_DEG, AWAY_FINER_DEG, AWAY_NEAR_RATIO = range(-90, 90, 30), 10, 0.6  # then about the best
 WAYS, WAY_RAD = 3, np.radians(22.5)  # to either side of where the difference lies
@@ -268,11 +269,22 @@ class Scope:
             others = (self._wanted & self._labelled & ~part).view(np.uint8)
             others = cv2.morphologyEx(others, cv2.MORPH_OPEN, disc(SKIRT_PX * self._finer)) > 0
             from_px = middle_of(part) + self._origin_px
-            for found in _turned_beside(beside, part, others, mm_per_px(place, from_px)):
+            for as_turned, found in _turned_beside(beside, part, others, mm_per_px(place, from_px)):
                 fits = found.out_ratio >= OUT_RATIO and found.apart_px <= AWAY_APART_PX * self._finer
-                if fits and (best is None or found.ratio > best.explained_ratio):
+                better = fits and (best is None or found.ratio > best.explained_ratio)
+                if better and not self._still_stands(part, displaced(as_turned, found.offset_px)):
                     best = Move(tuple(from_px), tuple(from_px + found.offset_px), found.ratio, found.told_ratio)
         return best if best and best.explained_ratio >= AWAY_RATIO else None
+
+    def _still_stands(self, part: np.ndarray, there: np.ndarray) -> bool:
+        """Whether a part that would lie half in its old place is seen to stand there: nearly all that it would have laid bare,
+        and of the rest as much. Of an old place that lies apart that says nothing: all may be taken for what is expected.
+        """
+        bared, gone = part & self._wanted & ~there, part & self._standing & self._known & ~self._observed
+        part_px, bared_px = int(np.count_nonzero(part)), int(np.count_nonzero(bared))
+        if bared_px >= HALF_RATIO * part_px or np.count_nonzero(gone) > GONE_RATIO * part_px:
+            return False
+        return int(np.count_nonzero(bared & self._observed)) >= STILL_RATIO * max(bared_px, LEAST_PART_PX)
 
     def _beside(self) -> Beside:
         return Beside(self.stray, self._wanted, self._foreign | ~self._known, self._finer)
@@ -367,15 +379,18 @@ class Scope:
         )
 
 
-def _turned_beside(beside: Beside, part: np.ndarray, others: np.ndarray, mm_per_px: np.ndarray) -> Collection[Likeness]:
-    """How alike a part is in each of its turns on the bed, coarse ones first and finer ones about the best."""
+def _turned_beside(
+    beside: Beside, part: np.ndarray, others: np.ndarray, mm_per_px: np.ndarray
+) -> Collection[tuple[np.ndarray, Likeness]]:
+    """A part in each of its turns on the bed and how alike it is then, coarse ones first and finer ones about the best."""
     middle = middle_of(part)
 
-    def alike(turn_deg: float) -> Likeness:
-        return beside.body(turned_on_bed(part, turn_deg, middle, mm_per_px), others)
+    def alike(turn_deg: float) -> tuple[np.ndarray, Likeness]:
+        as_turned = turned_on_bed(part, turn_deg, middle, mm_per_px)
+        return as_turned, beside.body(as_turned, others)
 
     tried = {turn_deg: alike(turn_deg) for turn_deg in AWAY_TURNS_DEG}
-    best_deg = max(tried, key=lambda turn_deg: tried[turn_deg].ratio)
-    if tried[best_deg].ratio >= AWAY_NEAR_RATIO:
+    best_deg = max(tried, key=lambda turn_deg: tried[turn_deg][1].ratio)
+    if tried[best_deg][1].ratio >= AWAY_NEAR_RATIO:
         tried.update((finer, alike(finer)) for finer in (best_deg - AWAY_FINER_DEG, best_deg + AWAY_FINER_DEG))
     return tried.values()
