@@ -18,7 +18,6 @@ MUCH_NEARER = 0.6
 MOSTLY_GONE = 0.4
 SHINING = 6.0  # grey levels above the bed, of all channels
 SHADE_LEAST, SHADE_TINT = 0.25, 0.2
-GRAIN_RIM, GRAIN_LEAST_PX, GRAIN_LEAST, GRAIN_LEFT = (5, 5), 30, 1.0, 0.25  # grey levels, and what of them is left
 UNCHANGED = 8  # the same within which a pixel looks as it did
 BED_SIDE_PX = 7  # by so many pixels together, since noise alone changes one
 BED_LEAST_PX, BED_CLEARLY = 60, 0.8
@@ -190,19 +189,6 @@ class Memory:
             if there - around < SHINING or covered[window][where].mean() > bare[where].mean() - CHANGED:
                 return False
         return True
-
-    def lacks_grain(self, window: Window, look: np.ndarray, where: np.ndarray) -> bool:
-        """Whether the pixels `where` show so little of fine detail, a quarter of what the bare bed has there, that something
-        smooth must be seen instead, of the bed's colour."""
-        where = where & self._has_bare[window]
-        inside = cv2.erode(where.view(np.uint8), np.ones(GRAIN_RIM, np.uint8)) > 0
-        if np.count_nonzero(inside) < GRAIN_LEAST_PX:
-            return False
-        few = about(inside)
-        now, bare = (
-            sum(float(_detail(plane[few])[inside[few]].var()) for plane in kept) for kept in (look, self.bare(window))
-        )
-        return bare > len(look) * GRAIN_LEAST**2 and now < GRAIN_LEFT**2 * bare
 
     def looks_strange(self, window: Window, look: np.ndarray, where: np.ndarray) -> np.ndarray:
         """bool: of the pixels `where`, those that look neither like the bare bed nor like the matter seen there."""
@@ -393,11 +379,6 @@ class Memory:
         if min(apart_still, apart_moved) > BED_CLEARLY * max(apart_still, apart_moved):
             return None
         return apart_moved < apart_still
-
-
-def _detail(plane: np.ndarray) -> np.ndarray:
-    """(h, w) float32: a plane, smoothed already, without what changes over more than some 15 pixels."""
-    return plane.astype(np.float32) - cv2.blur(plane, (15, 15)).astype(np.float32)
 
 
 def _most_apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from .contours import LEAST_SUNK
 from .counts import WHOLE, WINDOWS, Counter, Evidence
 from .coverage import coverage
 from .findings import Findings, Sight
+from .grain import lacks_grain
 from .memory import Memory, planes
 from .shade import is_shaded_matter
 from .spots import Window, about, disc, near_to, placed, spots_of, within, without_hollows, without_specks
@@ -196,7 +197,7 @@ def _lost(scene: _Scene, stray: np.ndarray) -> tuple[np.ndarray, int]:
     lost_px = int(np.count_nonzero(lost))
     if lost_px >= HIDING_PX and memory.shines(window, look, lost, scene.bed):
         lost = np.zeros_like(lost)
-    elif lost_px >= HIDING_PX and memory.lacks_grain(window, look, lost):
+    elif lost_px >= HIDING_PX and _is_smooth(scene, lost):
         return np.zeros_like(lost), max(hidden_px, lost_px)
     return lost, hidden_px
 
@@ -216,6 +217,12 @@ def _sunk(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
     return sunk, bared
 
 
+def _is_smooth(scene: _Scene, where: np.ndarray) -> bool:
+    """Whether what looks like the bed there has none of its detail."""
+    has_bare = scene.memory.has_bare(scene.window)
+    return lacks_grain(scene.look, scene.memory.bare(scene.window), where & has_bare, scene.bed & has_bare)
+
+
 def _untold(scene: _Scene, lost: np.ndarray, stray: np.ndarray) -> tuple[np.ndarray, int]:
     """Where much is seen no more and nothing bears out that it has gone: what is lost after all, and how many pixels of it
     nothing tells anything of, since what is fresh may be hidden too."""
@@ -225,7 +232,7 @@ def _untold(scene: _Scene, lost: np.ndarray, stray: np.ndarray) -> tuple[np.ndar
         return lost, 0
     lies_beside = np.count_nonzero(stray) > STRAY_RATIO * untold_px
     bare = memory.all_bare(window, look, gone, bed) and not memory.shines(window, look, gone, bed)
-    if lies_beside or (bare and not memory.lacks_grain(window, look, gone)):
+    if lies_beside or (bare and not _is_smooth(scene, gone)):
         return lost | without_specks(gone), 0
     return lost, untold_px
 
