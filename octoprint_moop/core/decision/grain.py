@@ -7,29 +7,25 @@ import numpy as np
 
 from .spots import about
 
-RIM, LEAST_PX, LEAST, LEFT = (5, 5), 30, 1.0, 0.25  # grey levels, and what of them is left
+SIDE, LEAST_PX, LEAST, LEFT = (5, 5), 30, 0.5, 0.25  # grey levels, and what of them is left
 
 
-def lacks_grain(look: np.ndarray, bare: np.ndarray, where: np.ndarray, beside: np.ndarray) -> bool:
-    """Whether the pixels `where` show so little of fine detail, a quarter of what the bare bed has there, that something
-    smooth must be seen instead, of the bed's colour.
+def lacks_grain(look: np.ndarray, where: np.ndarray, bed: np.ndarray) -> bool:
+    """Whether the pixels `where` show so little of fine detail, a quarter of what the bed shows, that something smooth is seen.
 
-    The bed `beside` must have as much: what was last seen bare beside matter has something of its colour.
-    look, bare : (3, h, w) uint8, what is seen and how the bed looks without matter; where, beside : (h, w) bool
+    look : (3, h, w) uint8, smoothed already; where, bed : (h, w) bool
+    Both are seen in the same picture and so in the same light. What the bed looked like is not asked: what was last seen bare
+    beside matter has something of its colour.
     """
-    inside, around = (cv2.erode(mask.view(np.uint8), np.ones(RIM, np.uint8)) > 0 for mask in (where, beside))
-    if min(np.count_nonzero(inside), np.count_nonzero(around)) < LEAST_PX:
+    here, there = (cv2.erode(mask.view(np.uint8), np.ones(SIDE, np.uint8)) > 0 for mask in (where, bed))
+    if min(np.count_nonzero(here), np.count_nonzero(there)) < LEAST_PX:
         return False
-    now, there, elsewhere = (_grain(*one) for one in ((look, inside), (bare, inside), (bare, around)))
-    had = min(there, elsewhere)
-    return had > len(look) * LEAST**2 and now < LEFT**2 * had
+    had = _grain(look, there)
+    return had > len(look) * LEAST**2 and _grain(look, here) < LEFT**2 * had
 
 
 def _grain(look: np.ndarray, where: np.ndarray) -> float:
-    """The variance of what changes within some 15 pixels in the planes, smoothed already, summed over them."""
+    """The variance of pixels against the mean about them, summed over the planes."""
     few = about(where)
-    inside = where[few]
-    return sum(
-        float((plane[few].astype(np.float32) - cv2.blur(plane[few], (15, 15)).astype(np.float32))[inside].var())
-        for plane in look
-    )
+    differences = (cv2.subtract(plane[few], cv2.blur(plane[few], SIDE), dtype=cv2.CV_32F) for plane in look)
+    return sum(float(one[where[few]].var()) for one in differences)

@@ -61,6 +61,11 @@ class Memory:
         self.misfit = Misfit()
         self.contours = Contours(shape)
 
+    @property
+    def is_young(self) -> bool:
+        """Whether too few good checks have shown what matter may look like: dull at one layer, shining at the next."""
+        return self._checks < SETTLING_CHECKS
+
     def standing(self, window: Window) -> np.ndarray:
         """bool: pixels that have mostly been seen as matter; none before the first good check."""
         return self._matter[window] > STANDING
@@ -115,7 +120,7 @@ class Memory:
         enough good checks have shown what matter may look like: dull at one layer, shining at the next.
         """
         known = self._has_bare[window]
-        if self._checks < SETTLING_CHECKS:
+        if self.is_young:
             return False
         where, beside = where & known & self._has_covered[window], beside & known
         if not (where.any() and beside.any()):

@@ -195,9 +195,12 @@ def _lost(scene: _Scene, stray: np.ndarray) -> tuple[np.ndarray, int]:
     if lost.any():
         lost &= ~memory.looks_unlike_bed(window, look, lost, scene.bed)
     lost_px = int(np.count_nonzero(lost))
+    most = lost_px > UNTOLD_RATIO * np.count_nonzero(scene.standing)
+    if most and memory.is_young and np.count_nonzero(stray) <= STRAY_RATIO * lost_px:
+        return np.zeros_like(lost), hidden_px  # a first solid layer may shine as the bed does
     if lost_px >= HIDING_PX and memory.shines(window, look, lost, scene.bed):
         lost = np.zeros_like(lost)
-    elif lost_px >= HIDING_PX and _is_smooth(scene, lost):
+    elif lost_px >= HIDING_PX and lacks_grain(look, lost, scene.bed):
         return np.zeros_like(lost), max(hidden_px, lost_px)
     return lost, hidden_px
 
@@ -217,12 +220,6 @@ def _sunk(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
     return sunk, bared
 
 
-def _is_smooth(scene: _Scene, where: np.ndarray) -> bool:
-    """Whether what looks like the bed there has none of its detail."""
-    has_bare = scene.memory.has_bare(scene.window)
-    return lacks_grain(scene.look, scene.memory.bare(scene.window), where & has_bare, scene.bed & has_bare)
-
-
 def _untold(scene: _Scene, lost: np.ndarray, stray: np.ndarray) -> tuple[np.ndarray, int]:
     """Where much is seen no more and nothing bears out that it has gone: what is lost after all, and how many pixels of it
     nothing tells anything of, since what is fresh may be hidden too."""
@@ -232,7 +229,7 @@ def _untold(scene: _Scene, lost: np.ndarray, stray: np.ndarray) -> tuple[np.ndar
         return lost, 0
     lies_beside = np.count_nonzero(stray) > STRAY_RATIO * untold_px
     bare = memory.all_bare(window, look, gone, bed) and not memory.shines(window, look, gone, bed)
-    if lies_beside or (bare and not _is_smooth(scene, gone)):
+    if lies_beside or (bare and not lacks_grain(look, gone, bed)):
         return lost | without_specks(gone), 0
     return lost, untold_px
 
