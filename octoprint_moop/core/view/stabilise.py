@@ -35,7 +35,7 @@ LEAST_POINTS = 60  # that tell; with fewer nothing is said of the camera
 BESIDE_PX = 2.0  # px of the level: how far off a pixel must look otherwise
 # grey levels, and of what a pixel looks like beside: until frames have shown it
 LEAST_NOISE, LEAST_APART_RATIO = 0.5, 0.04
-WELL, LESS_WELL, BADLY = 1.3, 1.5, 3.3  # mean loss: as expected; times the usual; never that of a camera that stands
+WELL, LESS_WELL, BADLY = 1.3, 2.0, 3.3  # mean loss: as expected; times the usual; never that of a camera that stands
 FITS, LOST_RATIO = 2.5, 0.25  # mean loss of a region; of the regions, so few fit if the camera is nowhere near
 NEW_VIEW_SIGMA = 8.0  # of the whole picture's gain: so much tells even there
 SAME_PX, SAME_RATIO = 1.0, 0.05  # at 640 pixels across, and against the turn
