@@ -488,3 +488,12 @@ def test_a_camera_that_the_print_showed_to_have_moved_is_not_turned_back_twice()
     stage.look(13, moved(walls(13), 6, 4), bed_px=(6, 4))
     stage.memory.misfit.turn_is_found()
     assert figures(stage.look(14, walls(14)).whole) == (0, 0, 0, 0) and stage.memory.misfit.alignment.most_px < 0.5
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_foot_that_is_no_more_seen_has_not_risen_where_a_good_part_of_the_matter_looks_like_the_bed(alike):
+    stage = Stage().printed(12)
+    foot = np.zeros(SHAPE, bool)
+    foot[GROUND - 3 : GROUND, 116:150] = True
+    found = stage.look(13, (wall(0, 13) if alike else walls(13)) & ~foot, observed=walls(13) & ~foot)
+    assert (found.whole.sunk_px == 0) is alike

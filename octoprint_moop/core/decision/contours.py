@@ -26,7 +26,7 @@ SUNK_PX, LEAST_SUNK = 1.0, 6
 AGREE_RATIO = 0.6  # of what has moved along a stretch, times the share of the stretch that has
 JOINED_PX = 5
 BESIDE_PX, SHADE = 4.0, 9.0  # grey levels by which it has become darker where a shadow falls
-JUST_PX, MATTER = 1.5, 18.0  # just outside of an edge; grey levels by which it looks less like the bed than elsewhere
+JUST_PX, MATTER = 2.0, 18.0  # just outside of an edge; grey levels by which it looks less like the bed than elsewhere
 PRIOR, OUTLIER_PX, ROUNDS = 5.0, 2.0, 3
 
 

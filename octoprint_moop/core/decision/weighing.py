@@ -215,7 +215,11 @@ def _sunk(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
         window, scene.wanted, scene.look, scene.observed, scene.known, lambda: memory.unlike_bare(window, scene.look)
     )
     bared &= cv2.dilate(sunk.view(np.uint8), disc(BARED_PX)) > 0
-    if 2 * np.count_nonzero(memory.looks_otherwise(window, scene.look, bared)) < np.count_nonzero(bared):
+    # walls in shade may look just like the bed
+    lying = scene.observed & scene.wanted
+    told = memory.looks_otherwise(window, scene.look, bared)
+    told &= ~_could_be_matter(bared, scene.wanted, lying, scene.look, memory.bare(window))
+    if 2 * np.count_nonzero(told) < np.count_nonzero(bared):
         return np.zeros_like(sunk), np.zeros_like(sunk)
     return sunk, bared
 
