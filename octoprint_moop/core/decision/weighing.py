@@ -28,6 +28,7 @@ BARED_RATIO, HIDING_BARED_RATIO = 0.8, 0.5
 UNMOVED_RATIO = 0.75  # of what stands, that looks as it did; at its edges what was new has grown since
 TORN_RATIO = 0.5  # of what has gone, from torn bodies,
 TORN_LEAST = 0.15  # of which at least so much has gone, and as much stands
+PLAIN_RATIO = 0.05  # of the complete print; where more is lost and stray, nobody asks how contours have moved
 UNTOLD_RATIO, STRAY_RATIO = 0.3, 0.15  # of what stood, and against what has gone
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
 # strands stand up and a print that lies shows another side: by so much more may be seen
@@ -57,7 +58,8 @@ def weigh(sight: Sight, memory: Memory, window: Window, alignment: Alignment) ->
     )
     fresh = replace(fresh, unseen=fresh.unseen & ~alike, barren=fresh.barren & ~alike)
     lost, untold_px = _untold(scene, lost & ~alike, stray)
-    sunk, bared = _sunk(scene)
+    plain = np.count_nonzero(lost) + np.count_nonzero(stray) > PLAIN_RATIO * np.count_nonzero(sight.expected.complete)
+    sunk, bared = (np.zeros_like(lost), np.zeros_like(lost)) if plain else _sunk(scene)
     scopes = _count(scene, fresh, lost, stray, rim, sunk)
     return Findings(
         window, scene.wanted, scene.look, scene.observed, scene.known, scene.standing, lost, stray, rim, fresh.unseen,
