@@ -497,3 +497,17 @@ def test_a_foot_that_is_no_more_seen_has_not_risen_where_a_good_part_of_the_matt
     foot[GROUND - 3 : GROUND, 116:150] = True
     found = stage.look(13, (wall(0, 13) if alike else walls(13)) & ~foot, observed=walls(13) & ~foot)
     assert (found.whole.sunk_px == 0) is alike
+
+
+@pytest.mark.parametrize(("size_px", "away_px", "stray"), [(7, 1, False), (7, 12, True), (12, 1, True)])
+def test_a_small_spot_that_hangs_together_with_the_head_as_well_is_not_stray(size_px, away_px, stray):
+    """A spot beside the left wall, within the head's reach, so far from where the head hides everything."""
+    stage = Stage().printed(12)
+    spot = np.zeros(SHAPE, bool)
+    spot[130 : 130 + size_px, 154 : 154 + size_px] = True
+    sight = stage.sight(13, walls(13) | spot)
+    reach, hidden = np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
+    reach[60:170, 60:260] = 255
+    hidden[: 130 - away_px, 140:180] = 255
+    sight = replace(sight, expected=replace(sight.expected, volume=reach), ignored=hidden)
+    assert (find(sight, stage.memory).whole.stray_px > 20) == stray

@@ -28,6 +28,8 @@ BARED_RATIO, HIDING_BARED_RATIO = 0.8, 0.5
 UNMOVED_RATIO = 0.75  # of what stands, that looks as it did; at its edges what was new has grown since
 TORN_RATIO = 0.5  # of what has gone, from torn bodies,
 TORN_LEAST = 0.15  # of which at least so much has gone, and as much stands
+TOUCHING_PX = 4.0  # at any size: distances are measured in fours
+SMALL_PX = 80  # at up to 640 pixels across
 PLAIN_RATIO = 0.05  # of the complete print; where more is lost and stray, nobody asks how contours have moved
 UNTOLD_RATIO, STRAY_RATIO = 0.3, 0.15  # of what stood, and against what has gone
 ALIGNED_PX = 0.25  # a displacement of less is not worth moving pictures for
@@ -183,6 +185,8 @@ def _stray(scene: _Scene) -> tuple[np.ndarray, np.ndarray]:
     if stray.any():
         stray &= ~(memory.looks_shaded(window, look, stray) & within(scene.wanted_u8, SHADE_PX * sight.finer))
         stray = near_to(scene.wanted_u8, without_specks(stray), _reach_px(sight)) & ~_reaching_in(sight, window)
+        if sight.expected.volume is not None:
+            stray &= ~_of_the_head(scene, stray, sight.expected.volume[window])
     return stray, rim
 
 
@@ -261,6 +265,14 @@ def _aligned(sight: Sight, alignment: Alignment, window: Window) -> tuple[np.nda
     ignored = cv2.warpAffine(sight.ignored, matrix, size, flags=plain, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
     observed = cv2.threshold(cv2.extractChannel(mixed, 3), 127, 255, cv2.THRESH_BINARY)[1]
     return planes(mixed), observed, ignored
+
+
+def _of_the_head(scene: _Scene, stray: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """bool: small spots of stray matter within the head's reach (uint8) that touch where nothing can be told for the head: they
+    hang together with it as well as with the print."""
+    hiding = np.where(scene.known, np.uint8(0), reach)
+    touching = near_to(hiding, stray & (reach > 0), TOUCHING_PX)
+    return touching & ~without_specks(touching, round(SMALL_PX * scene.sight.finer**2))
 
 
 def _reaching_in(sight: Sight, window: Window) -> np.ndarray:
