@@ -168,8 +168,9 @@ class Course:
             outcomes = [
                 one if max(one.size("lost"), one.size("fresh")) >= 1 else _only_suspect(one) for one in outcomes
             ]
-        self._strange = 0 if self._went_on or accounts(tracks[WHOLE], scopes[0]) else self._strange + 1
-        if 0 < self._strange <= MOST_STRANGE or self._shaken or sum(self._recent_blind) > MOST_BLIND:
+        strange = not (self._went_on or accounts(tracks[WHOLE], scopes[0]))
+        self._strange = self._strange + (not known) if strange else 0  # a second look counts no second time
+        if (strange and self._strange <= MOST_STRANGE) or self._shaken or sum(self._recent_blind) > MOST_BLIND:
             outcomes = [_only_suspect(outcome) for outcome in outcomes]
         self._shaken = False
         worst = max(outcomes, key=_weight)
