@@ -219,15 +219,26 @@ def _edges(
     lines : (N, 2, n) the pixels at each of `offsets` along each point's normal
     """
     x, y = (np.ascontiguousarray(lines[:, axis], np.float32) for axis in (0, 1))
-    profile = cv2.remap(soft, x, y, cv2.INTER_LINEAR)
     hidden = cv2.remap(blind, x, y, cv2.INTER_NEAREST, borderValue=1).any(axis=1)
+    along, found, _ = nearest_edges(soft, x, y, offsets, halo_px)
+    return along, found & ~hidden
+
+
+def nearest_edges(
+    soft: np.ndarray, x: np.ndarray, y: np.ndarray, offsets: np.ndarray, near_px: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N,) at which of the offsets a silhouette ends on each of N lines, nearest to `near_px`, to a part of a step; (N,) bool,
+    whether it does; and (N,) int, which offset comes before.
+
+    soft : (H, W) float32, the silhouette, blurred; x, y : (N, n) float32, its pixels at each of the `offsets`, (n,) evenly
+    """
+    profile = cv2.remap(soft, x, y, cv2.INTER_LINEAR)
     falls = (profile[:, :-1] >= 0.5) & (profile[:, 1:] < 0.5)
-    away = np.where(falls, np.abs(offsets[:-1] - halo_px), np.inf)
-    at = away.argmin(axis=1)
-    rows = np.arange(len(at))
+    away = np.where(falls, np.abs(offsets[:-1] - np.reshape(near_px, (-1, 1))), np.inf)
+    at, rows = away.argmin(axis=1), np.arange(len(away))
     before, after = profile[rows, at], profile[rows, at + 1]
-    along = offsets[at] + STEP_PX * (before - 0.5) / np.maximum(before - after, 1e-6)
-    return along, np.isfinite(away[rows, at]) & ~hidden
+    along = offsets[at] + (offsets[1] - offsets[0]) * (before - 0.5) / np.maximum(before - after, 1e-6)
+    return along, np.isfinite(away[rows, at]), at
 
 
 def _biweight(residual: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .align import nearest_edges
 from .spots import Window, about
 
 REACH_PX, STEP_PX = 5.0, 0.5  # how far to either side of a contour its edge is looked for
@@ -162,14 +163,10 @@ class _Points:
         )
         if not len(x):
             return np.zeros(0), np.zeros(0, bool)
-        profile = cv2.remap(cv2.GaussianBlur(seen.astype(np.float32), (0, 0), 0.8), x, y, cv2.INTER_LINEAR)
-        falls = (profile[:, :-1] >= 0.5) & (profile[:, 1:] < 0.5)
-        away = np.where(falls, np.abs(offsets[:-1] - near_px[:, None]), np.inf)
-        at, rows = away.argmin(axis=1), np.arange(len(away))
-        before, after = profile[rows, at], profile[rows, at + 1]
-        edge_px = offsets[at] + STEP_PX * (before - 0.5) / np.maximum(before - after, 1e-6)
-        told = known[tuple(np.rint(axis[rows, at]).astype(int) for axis in (y, x))]
-        return edge_px, np.isfinite(away[rows, at]) & told
+        soft = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), 0.8)
+        edge_px, found, at = nearest_edges(soft, x, y, offsets, near_px)
+        told = known[tuple(np.rint(axis[np.arange(len(at)), at]).astype(int) for axis in (y, x))]
+        return edge_px, found & told
 
 
 def _common(normals: np.ndarray, moved_px: np.ndarray) -> np.ndarray:
