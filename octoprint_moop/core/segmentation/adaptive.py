@@ -85,7 +85,7 @@ class AdaptiveSegmenter:
             return None
         x0, y0, x1, y1 = region
         reach = self._head.reach(frame_bgr, expected, model)
-        return None if reach is None else Reach(np.ascontiguousarray(reach.where[y0:y1, x0:x1]), reach.model)
+        return Reach(np.ascontiguousarray(reach.where[y0:y1, x0:x1]), reach.model)
 
     def _unsure_of_the_bed(
         self, seen: Observation, plate: Plate, colours: np.ndarray, expected: np.ndarray

@@ -61,13 +61,12 @@ class HeadColours:
         """colours : (H, W, 3) uint8, an opponent picture of the view after a check in which all was well."""
         self._beside = remember(self._beside, _beside_print(colours, expected))
 
-    def reach(self, frame_bgr: np.ndarray, expected: Expected, model: ColourModel) -> Reach | None:
-        """None where no head is in the way; before anything was learned the picture itself tells what a head looks like.
+    def reach(self, frame_bgr: np.ndarray, expected: Expected, model: ColourModel) -> Reach:
+        """Where a head is in the way; before anything was learned the picture itself tells what a head looks like.
 
         frame_bgr : (H, W, 3) uint8, the view; model : what tells filament from its background where no head is
         """
-        if expected.volume is None:
-            return None
+        assert expected.volume is not None
         beside = self._beside if self._beside.any() else _beside_print(opponent(frame_bgr), expected)
         beside = beside * max(float(model.background.sum()), 1.0) / max(float(beside.sum()), 1.0)
         return Reach(expected.volume, ColourModel(model.filament, beside + model.background))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .fit import FINEST, Fit
+from .fit import FINEST, LEAST_POINTS, Fit
 from .turns import STILL
 
 MIDDLE = FINEST - 1
@@ -20,7 +20,7 @@ GOOD = 2.0  # mean loss: a turn near the last one that fits so well needs no riv
 NOTICEABLE_PX = 0.4  # at 640 pixels across
 # pixels at 640 across: how far, and in which steps, of the middle and of the rims
 SEARCH_PX, SEARCH_STEP_PX, ROLL_PX, ROLL_STEP_PX = 64.0, 8.0, 16.0, 8.0
-SEARCH_POINTS, REFINE_POINTS, LEAST_POINTS = 150, 400, 30
+SEARCH_POINTS, REFINE_POINTS = 150, 400
 RIVAL_PX, RIVAL_RATIO = 2.0, 0.1  # pixels at 640 across, and against the turn
 STEPS, LEAST_GAIN = 4, 0.01  # at the end, each for so much of the mean loss
 GUESSES, FINALISTS = 12, 6

@@ -26,11 +26,10 @@ from .belief import AT_ONCE, REGION_POINTS, TWICE, Gain
 from .fit import FINEST, MOST_LOSS, SCALES, Fit, Pyramid, contrast_of
 from .glance import Glance
 from .landmarks import MOST_CONTRAST, Aim, Level, Relief, noise, region_of, strongest_in_each_cell
-from .search import GOOD, best_turn
+from .search import GOOD, NOTICEABLE_PX, best_turn
 from .turns import STILL, CameraTurn, Turns
 
 GLANCE_EVERY = 3  # of the pixels, to tell that nothing has moved
-NOTICEABLE_PX = 0.4  # at 640 pixels across
 LEAST_POINTS = 60  # that tell; with fewer nothing is said of the camera
 BESIDE_PX = 2.0  # px of the level: how far off a pixel must look otherwise
 # grey levels, and of what a pixel looks like beside: until frames have shown it
